@@ -1,0 +1,89 @@
+"""Which messages each part of a test sends, as topic, stamp and CDR bytes: one list for nodes and for bags."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from config.scene import Scene
+from msgs_adapters.cdr import serialize
+from msgs_adapters.convert import to_accel, to_diagnostics, to_imu, to_markers, to_odometry, to_string
+from msgs_adapters.pose_payloads import pose_array_payload
+from msgs_adapters.robot_description import robot_description
+from msgs_adapters.stamps import to_clock
+from msgs_adapters.topics import (
+    CLOCK,
+    EUMOS_REPORT,
+    EUMOS_STATUS,
+    PACKAGES_MARKERS,
+    PACKAGES_POSES,
+    ROBOT_DESCRIPTION,
+    SCENE,
+    SLED_ACCELERATION,
+    SLED_ACCELEROMETER,
+    SLED_ODOMETRY,
+    Topic,
+)
+from sim_core.frames import AccelerometerSample, PoseFrame, RuleState, SledSample
+
+MARKERS_HZ = 30
+
+
+class Publication(NamedTuple):
+    """One message: its topic, the simulated time of what it says [ns], its CDR bytes."""
+
+    topic: Topic
+    stamp_ns: int
+    payload: bytes
+
+
+def sled_topics(scene: Scene) -> tuple[Topic, ...]:
+    """What the sled sends in this scene."""
+    sensor = (SLED_ACCELEROMETER,) if scene.accelerometer is not None else ()
+    return (CLOCK, SLED_ACCELERATION, SLED_ODOMETRY, *sensor)
+
+
+def sample_publications(sample: SledSample, scene: Scene) -> Iterator[Publication]:
+    """The acceleration of every sample; clock and odometry of those that a pose frame falls on."""
+    if sample.index % (scene.sampling.samples_hz // scene.sampling.poses_hz) == 0:
+        yield Publication(CLOCK, sample.stamp_ns, serialize(to_clock(sample.stamp_ns)))
+        yield Publication(SLED_ODOMETRY, sample.stamp_ns, serialize(to_odometry(sample)))
+    yield Publication(SLED_ACCELERATION, sample.stamp_ns, serialize(to_accel(sample)))
+
+
+def reading_publication(reading: AccelerometerSample) -> Publication:
+    """An accelerometer reading."""
+    return Publication(SLED_ACCELEROMETER, reading.stamp_ns, serialize(to_imu(reading)))
+
+
+def scene_publications(scene: Scene, stamp_ns: int) -> Iterator[Publication]:
+    """What every late joiner needs: the scene, and the load as URDF."""
+    pallet = scene.pallet_box
+    description = robot_description(scene.packages, pallet.size_m if pallet is not None else None)
+    yield Publication(SCENE, stamp_ns, serialize(to_string(scene.to_json())))
+    yield Publication(ROBOT_DESCRIPTION, stamp_ns, serialize(to_string(description)))
+
+
+def frame_publication(frame: PoseFrame) -> Publication:
+    """The poses of a frame."""
+    return Publication(PACKAGES_POSES, frame.stamp_ns, pose_array_payload(frame))
+
+
+def markers_due(frame: PoseFrame, scene: Scene) -> bool:
+    """Whether markers are sent with this frame, if anybody looks at them."""
+    return frame.index % max(1, scene.sampling.poses_hz // MARKERS_HZ) == 0
+
+
+def markers_publication(frame: PoseFrame, scene: Scene) -> Publication:
+    """The load as coloured cubes."""
+    pallet = scene.pallet_box
+    message = to_markers(frame, scene.packages, pallet.size_m if pallet is not None else None)
+    return Publication(PACKAGES_MARKERS, frame.stamp_ns, serialize(message))
+
+
+def rules_publication(stamp_ns: int, rules: list[RuleState]) -> Publication:
+    """The rules as they stand."""
+    return Publication(EUMOS_STATUS, stamp_ns, serialize(to_diagnostics(stamp_ns, rules)))
+
+
+def report_publication(stamp_ns: int, report_json: str) -> Publication:
+    """The judgement at the end."""
+    return Publication(EUMOS_REPORT, stamp_ns, serialize(to_string(report_json)))

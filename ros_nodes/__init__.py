@@ -1,0 +1,1 @@
+"""The node graph, its supervisor and the command line."""

@@ -1,0 +1,189 @@
+"""The command line: ``pallet-twin``."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from config.errors import PalletTwinError
+from ros_nodes import output
+
+app = typer.Typer(
+    name="pallet-twin",
+    help="Digital twin of the sled bench that tests palletised loads to EUMOS 40509.\n\n"
+    "Start with: pallet-twin run eur_fields_05g",
+    epilog="Exit codes: 0 it ran, whatever the verdict; 2 refused input; 3 a monitor ended it or a node died; "
+    "4 --require was not met.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE", help="A scene file, a palletising file (then tested at 0.5 g), or a shipped scene's name."
+    ),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="Override a value, e.g. sled.level_g=0.6. May be repeated."),
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(metavar="DIR", help="Folder for report and bag. Default: runs/NAME, numbered when taken."),
+]
+OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier test in --out.")]
+EstimateOption = Annotated[
+    bool,
+    typer.Option("--estimate/--no-estimate", help="Run the test once more at twice the step for an error estimate."),
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
+RequireOption = Annotated[
+    Literal["pass"] | None,
+    typer.Option("--require", metavar="pass", help="Exit with 4 unless this is the verdict."),
+]
+
+
+@app.command()
+def run(
+    scene: SceneArgument,
+    out: OutOption = None,
+    set_: SetOption = None,
+    bag: Annotated[bool, typer.Option("--bag/--no-bag", help="Record an MCAP bag.")] = True,
+    estimate: EstimateOption = True,
+    overwrite: OverwriteOption = False,
+    require: RequireOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run one test in one process: report.json, report.html and a bag.
+
+    Examples: `pallet-twin run eur_columns --set sled.level_g=0.3`, `pallet-twin run my_load.xml --out out/my_load`.
+    """
+    from config.scene_file import find_scene, read_scene
+    from ros_nodes.one_test import make_folder, run_headless
+    from sim_core.integrity import require_integrity
+
+    loaded = read_scene(find_scene(scene), set_ or ())
+    require_integrity(loaded)
+    where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag)
+    with output.progress(loaded, quiet=as_json) as on_progress:
+        outcome = run_headless(loaded, where, with_estimate=estimate, on_progress=on_progress)
+    output.finish(outcome, as_json=as_json, require=require)
+
+
+@app.command()
+def up(
+    scene: SceneArgument,
+    pace: Annotated[
+        Literal["fast", "real"], typer.Option(help="fast: as the physics acknowledges; real: on the wall clock.")
+    ] = "fast",
+    out: OutOption = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Where to record the bag. Default: OUT/bag.")
+    ] = None,
+    no_record: Annotated[bool, typer.Option("--no-record", help="Start no recorder.")] = False,
+    set_: SetOption = None,
+    estimate: EstimateOption = True,
+    overwrite: OverwriteOption = False,
+    discovery: Annotated[
+        Literal["localhost", "subnet"],
+        typer.Option(help="Who may see the nodes: this host alone, or its network too."),
+    ] = "localhost",
+    require: RequireOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Run the same test as a ROS 2 node graph under /twin: sled, physics, validator and recorder.
+
+    While it runs, any ROS 2 tool on this host and ROS_DOMAIN_ID sees the topics.
+    """
+    from config.scene_file import find_scene, read_scene
+    from ros_nodes.one_test import make_folder, run_graph
+    from sim_core.integrity import require_integrity
+
+    loaded = read_scene(find_scene(scene), set_ or ())
+    require_integrity(loaded)
+    where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record)
+    with output.progress(loaded, quiet=as_json) as on_progress:
+        outcome = run_graph(
+            loaded, where, pace=pace, discovery=discovery, with_estimate=estimate, on_progress=on_progress
+        )
+    output.finish(outcome, as_json=as_json, require=require)
+
+
+@app.command()
+def check(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A scene, a palletising file, a bag, or a shipped scene.")],
+    set_: SetOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Check a scene, a palletising file or a bag without running anything."""
+    from ros_nodes.checks import check_file
+
+    findings, facts = check_file(file, set_ or ())
+    output.show_check(findings, facts, as_json=as_json)
+
+
+@app.command()
+def judge(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A bag directory or an .mcap file.")],
+    require: RequireOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Judge a recording again, from the scene and the poses in it."""
+    from recordings.judge_bag import judge_bag
+    from sim_core.report import judgement, report_json
+
+    scene, judged = judge_bag(bag)
+    report = judgement(scene, judged)
+    if as_json:
+        print(report_json(report))
+    else:
+        output.show_rules(report)
+    output.meet(require, report)
+
+
+@app.command()
+def schema() -> None:
+    """Print the scene's JSON Schema."""
+    from config.scene import Scene
+
+    print(json.dumps(Scene.model_json_schema(), indent=1))
+
+
+@app.command()
+def scenes() -> None:
+    """List the shipped scenes."""
+    from config.scene_file import find_scene, shipped_scenes
+
+    for name in shipped_scenes():
+        raw = json.loads(find_scene(name).read_text(encoding="utf-8"))
+        print(f"{name:22} {raw.get('description', '')}")
+
+
+@app.callback(invoke_without_command=True)
+def _options(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        from importlib.metadata import version as version_of
+
+        print(version_of("pallet-twin"))
+        raise typer.Exit
+
+
+def main() -> None:
+    """Runs the command line; every error of the family becomes one line and one exit code, here."""
+    try:
+        app()
+    except PalletTwinError as error:
+        print(f"pallet-twin: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        print("pallet-twin: interrupted; what was recorded until now is whole", file=sys.stderr)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,160 @@
+"""One test from a scene to a folder with report, page and bag, in one process or as a node graph."""
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from config.errors import EndedByMonitor, RefusedInput
+from config.scene import Scene
+from sim_core.companion import Companion, ErrorEstimate
+from sim_core.integrity import require_integrity
+from sim_core.report import Report, full_report, judgement, report_json, worst_by_rule, write_report
+from sim_core.run import run_test
+
+OnProgress = Callable[[float, dict[str, str]], None]
+
+
+@dataclass(frozen=True)
+class TestFolder:
+    """Where a test's results stand.
+
+    Attributes:
+        folder: the folder.
+        report: ``report.json``.
+        page: ``report.html``.
+        bag: the bag's directory, or None when nothing was recorded.
+    """
+
+    __test__ = False
+
+    folder: Path
+    report: Path
+    page: Path
+    bag: Path | None
+
+
+@dataclass(frozen=True)
+class TestOutcome:
+    """A finished test: its report, where it stands, and the monitor that ended it, if any."""
+
+    __test__ = False
+
+    report: Report
+    where: TestFolder
+    ended_by: EndedByMonitor | None
+
+
+def make_folder(scene: Scene, out: Path | None, *, overwrite: bool, with_bag: bool, bag: Path | None = None) -> TestFolder:
+    """Makes the folder of a test: ``out``, or the first free one of ``runs/NAME``, ``runs/NAME-2`` …
+
+    Raises:
+        RefusedInput: the folder exists and is not empty, or cannot be made.
+    """
+    folder = out if out is not None else _free_folder(Path("runs") / scene.name)
+    try:
+        if folder.exists() and not folder.is_dir():
+            raise RefusedInput("--out", str(folder), "must be a folder")
+        if folder.is_dir() and any(folder.iterdir()):
+            if not overwrite:
+                raise RefusedInput("--out", str(folder), "is not empty; choose another, or add --overwrite")
+            if not (folder / "report.json").exists():
+                raise RefusedInput("--out", str(folder), "holds no earlier test; --overwrite touches nothing else")
+            for name in ("bag", "report.json", "report.html"):
+                _remove(folder / name)
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RefusedInput("--out", str(folder), error.strerror or "cannot be made") from None
+    where = bag if bag is not None else folder / "bag"
+    return TestFolder(folder, folder / "report.json", folder / "report.html", where if with_bag else None)
+
+
+def run_headless(
+    scene: Scene, where: TestFolder, *, with_estimate: bool, on_progress: OnProgress | None = None
+) -> TestOutcome:
+    """Runs a test in this process.
+
+    Raises:
+        RefusedInput: the load fails its integrity check.
+    """
+    companion = Companion(scene) if with_estimate and scene.packages else None
+    try:
+        if where.bag is None:
+            result = run_test(scene, on_progress=on_progress)
+            judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
+        else:
+            from recordings.test_bag import TestBag
+
+            with TestBag(where.bag, scene) as bag:
+                result = run_test(scene, observers=[bag], on_progress=on_progress)
+                judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
+                bag.finish(report_json(judged, compact=True))
+        estimate = companion.estimate(worst_by_rule(judged)) if companion is not None else None
+    except BaseException:
+        if companion is not None:
+            companion.cancel()
+        raise
+    report = full_report(
+        judged, scene, physics=result.physics, findings=result.findings, estimate=estimate,
+        wall_s=result.wall_s, mode="run",
+    )  # fmt: skip
+    _write(report, scene, where)
+    return TestOutcome(report, where, result.ended_by)
+
+
+def run_graph(
+    scene: Scene,
+    where: TestFolder,
+    *,
+    pace: Literal["fast", "real"],
+    discovery: Literal["localhost", "subnet"] = "localhost",
+    with_estimate: bool = True,
+    on_progress: OnProgress | None = None,
+) -> TestOutcome:
+    """Runs a test as a node graph; the estimate's companion runs after it, so as not to slow the nodes.
+
+    Raises:
+        RefusedInput: the load fails its integrity check.
+        NodeDied: a node ended before the test did; the bag until then is whole.
+    """
+    from ros_nodes.supervisor import Supervisor, configure_middleware
+
+    findings = require_integrity(scene)
+    configure_middleware(discovery)
+    result = Supervisor(scene, pace, where.bag, on_progress).run()
+    judged = json.loads(result.judgement_json)
+    estimate: ErrorEstimate | None = None
+    if with_estimate and scene.packages and result.ended_by is None:
+        estimate = Companion(scene).estimate(worst_by_rule(judged))
+    report = full_report(
+        judged, scene, physics=result.physics, findings=findings, estimate=estimate, wall_s=result.wall_s,
+        mode=f"up {pace}",
+    )  # fmt: skip
+    if result.notes:
+        report["numerics"]["pace"] = result.notes
+    _write(report, scene, where)
+    return TestOutcome(report, where, result.ended_by)
+
+
+def _write(report: Report, scene: Scene, where: TestFolder) -> None:
+    from sim_core.report_html import write_report_html
+
+    write_report(report, where.report)
+    write_report_html(report, scene, where.page)
+
+
+def _free_folder(wanted: Path) -> Path:
+    number, folder = 1, wanted
+    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        number += 1
+        folder = wanted.with_name(f"{wanted.name}-{number}")
+    return folder
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

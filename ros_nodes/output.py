@@ -1,0 +1,149 @@
+"""What the command line shows: progress, verdicts and findings."""
+
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
+
+from config.scene import Scene
+from ros_nodes.one_test import OnProgress, TestOutcome
+from sim_core.integrity import Finding
+from sim_core.report import Report, report_json
+
+NOT_MET = 4
+ENDED_BY_MONITOR = 3
+_STYLES = {"pass": "bold green", "fail": "bold red", "unresolved": "bold yellow", "off": "dim"}
+
+
+@contextmanager
+def progress(scene: Scene, *, quiet: bool) -> Iterator[OnProgress | None]:
+    """A progress bar over simulated time, on standard error, with the rules' states as they change."""
+    if quiet:
+        yield None
+        return
+    from sim_core.run import expected_end_s
+
+    end_s = expected_end_s(scene)
+    with Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[time]:.2f} s simulated"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[rules]}"),
+        console=Console(stderr=True),
+        transient=True,
+    ) as bar:
+        task = bar.add_task(scene.name, total=end_s, time=0.0, rules="")
+
+        def advance(time_s: float, states: dict[str, str]) -> None:
+            broken = [rule for rule, state in states.items() if state != "pass"]
+            rules = f"not passing: {', '.join(broken)}" if broken else ""
+            bar.update(task, completed=min(time_s, end_s), time=time_s, rules=rules)
+
+        yield advance
+
+
+def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
+    """Shows a finished test and ends the process where its outcome asks for a code other than 0."""
+    paths = {
+        "report": str(outcome.where.report),
+        "page": str(outcome.where.page),
+        "bag": str(outcome.where.bag) if outcome.where.bag is not None else None,
+    }
+    if as_json:
+        print(report_json({**outcome.report, "paths": paths}))
+    else:
+        show_rules(outcome.report)
+        _show_numerics(outcome.report["numerics"])
+        for name, path in paths.items():
+            if path is not None:
+                print(f"{name:7} {path}")
+    if outcome.ended_by is not None:
+        print(f"pallet-twin: {outcome.ended_by}", file=sys.stderr)
+        sys.exit(ENDED_BY_MONITOR)
+    meet(require, outcome.report)
+
+
+def meet(require: str | None, report: Report) -> None:
+    """Ends the process with 4 when a verdict was required and is another."""
+    if require is not None and report["verdict"] != require:
+        print(f"pallet-twin: verdict = {report['verdict']}: {require} was required", file=sys.stderr)
+        sys.exit(NOT_MET)
+
+
+def show_rules(report: Report) -> None:
+    """The verdict, its rules and the worst package."""
+    console = Console(highlight=False)
+    verdict = report["verdict"]
+    console.print(Text.assemble(f"{report['name']}: ", (verdict.upper(), _STYLES[verdict])))
+    if not report["rules"]:
+        return
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("rule", no_wrap=True)
+    for column in ("worst mm", "± mm", "limit mm"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("state", no_wrap=True)
+    table.add_column("where", overflow="fold")
+    for rule in report["rules"]:
+        table.add_row(
+            rule["rule"].replace("_", " "),
+            *(_number(rule[key], ".1f") for key in ("worst_mm", "error_mm", "limit_mm")),
+            Text(rule["state"], style=_STYLES[rule["state"]]),
+            Text(_where(rule)),
+        )
+    console.print(table)
+    if report["packages"]:
+        worst = max(report["packages"], key=lambda package: package["peak_mm"])
+        console.print(
+            Text(
+                f"worst package {worst['id']}: peak {worst['peak_mm']:.1f} mm, permanent {worst['permanent_mm']:.1f} mm,"
+                f" tilt {worst['final_tilt_deg']:.1f} deg"
+            )
+        )
+
+
+def show_check(findings: Sequence[Finding], facts: Mapping[str, Any], *, as_json: bool) -> None:
+    """Findings and facts of a check; ends the process with 2 when an error is among them."""
+    errors = sum(finding.severity == "error" for finding in findings)
+    if as_json:
+        print(report_json({**facts, "findings": [asdict(finding) for finding in findings], "errors": errors}))
+    else:
+        for name, value in facts.items():
+            if not isinstance(value, (list, dict)):
+                print(f"{name:14} {value}")
+        for finding in findings:
+            print(f"{finding.severity}: {finding.check} of {finding.subject} = {finding.value}: {finding.limit}")
+        print("refused" if errors else "fit to be tested" if "packages" in facts else "whole")
+    if errors:
+        sys.exit(2)
+
+
+def _show_numerics(numerics: Mapping[str, Any]) -> None:
+    error = numerics["error_estimate_mm"]
+    estimate = f"error estimate {error:.2f} mm" if error is not None else "no error estimate"
+    print(
+        f"{estimate} ({numerics['error_estimate_from']}); engine {numerics['engine']},"
+        f" step {1000.0 * numerics['time_step_s']:.3f} ms x {numerics['iterations']} iterations;"
+        f" {numerics['simulated_s']:.2f} s simulated in {numerics['wall_time_s']:.2f} s,"
+        f" {numerics['real_time_factor']:.2f} x real time"
+    )
+    for line in numerics["unmet_friction"]:
+        print(f"friction not met: {line}")
+    if "pace" in numerics:
+        print(numerics["pace"])
+
+
+def _where(rule: Mapping[str, Any]) -> str:
+    if rule["package"] is None:
+        return "-"
+    return f"{rule['package']}, {rule['height_m']:.2f} m high, at {rule['time_s']:.2f} s"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

@@ -1,0 +1,335 @@
+"""Starts the node graph that a scene needs, watches it, and ends it so that nothing recorded is lost."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Literal
+
+from config.errors import EndedByMonitor, NodeDied, PalletTwinError, RefusedInput
+from config.scene import Scene
+from recordings.test_bag import recorded_topics
+from ros_nodes.readers import readers_text
+from sim_core.run import PhysicsSummary
+
+NAMESPACE = "/twin"
+START_TIMEOUT_S = 30.0
+RECORDER_END_TIMEOUT_S = 15.0
+NODE_END_TIMEOUT_S = 5.0
+SILENCE_LIMIT_S = 60.0
+POLL_S = 0.02
+
+
+@dataclass
+class NodeProcess:
+    """One node of the graph as a process.
+
+    Attributes:
+        name: the executable's name.
+        process: the running process.
+        log: file that takes its output.
+    """
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """The last lines that it printed."""
+        lines = self.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return " | ".join(lines[-3:]) or "it printed nothing"
+
+    def ending(self) -> str:
+        """How it ended."""
+        code = self.process.returncode
+        return f"signal {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
+
+
+@dataclass(frozen=True)
+class GraphResult:
+    """What a graph leaves behind.
+
+    Attributes:
+        judgement_json: the report that the validator published.
+        physics: the physics' own account.
+        ended_by: the monitor that ended the test, or None.
+        wall_s: wall time from the first sample to the report [s].
+        notes: what nodes said about falling behind or missing messages, or an empty text.
+    """
+
+    judgement_json: str
+    physics: PhysicsSummary
+    ended_by: EndedByMonitor | None
+    wall_s: float
+    notes: str
+
+
+def configure_middleware(discovery: Literal["localhost", "subnet"]) -> None:
+    """Sets discovery range and transport profile in this process' environment, where the user did not.
+
+    Must run before the first ``rclpy.init``.
+    """
+    if discovery == "localhost":
+        os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    profile = "fastdds.xml" if discovery == "localhost" else "fastdds_subnet.xml"
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(files("config").joinpath(profile)))
+
+
+@dataclass
+class Supervisor:
+    """The graph of one test.
+
+    Args:
+        scene: a resolved scene that passed its integrity check.
+        pace: ``fast`` or ``real``.
+        bag: directory to record into, or None.
+        on_progress: called with simulated time [s] and the names and states of the rules.
+    """
+
+    scene: Scene
+    pace: Literal["fast", "real"]
+    bag: Path | None
+    on_progress: Callable[[float, dict[str, str]], None] | None = None
+    _nodes: list[NodeProcess] = field(default_factory=list)
+    _states: dict[str, str] = field(default_factory=dict)
+    _report: str | None = None
+    _final: Any = None
+    _notes: str = ""
+
+    def run(self) -> GraphResult:
+        """Runs the test to its end.
+
+        Raises:
+            NodeDied: a node ended before the test did; the bag until then is whole.
+            KeyboardInterrupt: the user stopped it; the bag until then is whole.
+        """
+        import rclpy
+
+        rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
+        with tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
+            try:
+                self._connect()
+                self._start(Path(folder))
+                self._bring_up()
+                self._follow()
+                wall_s = time.monotonic() - self._began
+                self._end()
+                return self._result(wall_s)
+            finally:
+                self._end()
+                self._node.destroy_node()
+                rclpy.try_shutdown()
+
+    def _connect(self) -> None:
+        """An own node: it listens to progress, status and report, and calls the lifecycle services."""
+        import rclpy
+        from rclpy.experimental import EventsExecutor
+
+        from msgs_adapters.topics import EUMOS_REPORT, EUMOS_STATUS, PHYSICS_PROGRESS, message_class, to_rclpy
+
+        self._node = rclpy.create_node("supervisor", namespace=NAMESPACE)
+        self._executor = EventsExecutor()
+        self._executor.add_node(self._node)
+        for topic, callback in (
+            (PHYSICS_PROGRESS, self._take_progress),
+            (EUMOS_STATUS, self._take_status),
+            (EUMOS_REPORT, self._take_report),
+        ):
+            self._node.create_subscription(
+                message_class(topic.type_name), topic.name, callback, to_rclpy(topic.qos)
+            )
+
+    def _start(self, folder: Path) -> None:
+        scene_file = folder / "scene.json"
+        scene_file.write_text(self.scene.to_json(), encoding="utf-8")
+        defaults = str(files("config").joinpath("nodes.yaml"))
+        for name, parameters in self._graph(scene_file):
+            log = folder / f"{name}.log"
+            arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", defaults]
+            for key, value in parameters.items():
+                arguments += ["-p", f"{key}:={json.dumps(value)}"]
+            with log.open("wb") as stream:
+                process = subprocess.Popen(
+                    [sys.executable, "-m", f"ros_nodes.{name}", *arguments],
+                    stdin=subprocess.DEVNULL,
+                    stdout=stream,
+                    stderr=subprocess.STDOUT,
+                    # Ctrl-C reaches the supervisor alone, which then ends the nodes in order.
+                    start_new_session=True,
+                )
+            self._nodes.append(NodeProcess(name, process, log))
+
+    def _graph(self, scene_file: Path) -> Iterator[tuple[str, dict[str, object]]]:
+        """The nodes that the scene needs, in the order of their start, with their parameters.
+
+        Each publisher waits for as many readers as the graph has for its topic.
+        """
+        recorded = [topic.name for topic in recorded_topics(self.scene)] if self.bag is not None else []
+        taken_down = {name: 1 for name in recorded}
+        if self.bag is not None:
+            yield "recorder_node", {"bag": str(self.bag.resolve()), "topics": ",".join(recorded)}
+        yield "validator_node", {"readers": readers_text(_sum(taken_down, {"eumos/status": 1, "eumos/report": 1},
+                                                              only=("eumos/status", "eumos/report")))}  # fmt: skip
+        physics = _sum(
+            taken_down,
+            {"packages/poses": 1, "physics/progress": 3, "scene": 2},
+            only=("packages/poses", "physics/progress", "scene", "robot_description"),
+        )
+        yield "physics_node", {"scene_file": str(scene_file), "readers": readers_text(physics)}
+        sled = _sum(
+            taken_down,
+            {"sled/acceleration": 1},
+            only=("/clock", "sled/acceleration", "sled/odometry", "sled/accelerometer"),
+        )
+        yield "sled_node", {"pace": self.pace, "readers": readers_text(sled)}
+
+    def _bring_up(self) -> None:
+        """Configures and activates every node; the sled comes last, and with it time."""
+        from lifecycle_msgs.msg import Transition
+
+        configured = [node.name for node in self._nodes if node.name != "sled_node"]
+        for name in configured:
+            self._change_state(name, Transition.TRANSITION_CONFIGURE)
+        for name in configured:
+            self._change_state(name, Transition.TRANSITION_ACTIVATE)
+        self._change_state("sled_node", Transition.TRANSITION_CONFIGURE)
+        self._began = time.monotonic()
+        self._change_state("sled_node", Transition.TRANSITION_ACTIVATE)
+
+    def _change_state(self, name: str, transition: int) -> None:
+        from lifecycle_msgs.srv import ChangeState
+
+        client = self._node.create_client(ChangeState, f"{NAMESPACE}/{name}/change_state")
+        request = ChangeState.Request()
+        request.transition.id = transition
+        deadline = time.monotonic() + START_TIMEOUT_S
+        while True:
+            while not client.service_is_ready():
+                self._spin_until(deadline, name)
+            future = client.call_async(request)
+            while not future.done():
+                self._spin_until(deadline, name)
+            if future.result().success:
+                break
+            # A node refuses while what it waits for is on its way: the sled its scene.
+            pause = time.monotonic() + 0.05
+            while time.monotonic() < pause:
+                self._spin_until(deadline, name)
+        self._node.destroy_client(client)
+
+    def _spin_until(self, deadline: float, name: str) -> None:
+        self._executor.spin_once(timeout_sec=POLL_S)
+        self._watch()
+        if time.monotonic() > deadline:
+            node = next(node for node in self._nodes if node.name == name)
+            raise NodeDied(name, f"it did not start within {START_TIMEOUT_S:.0f} s: {node.last_words()}")
+
+    def _follow(self) -> None:
+        """Spins until the report is there."""
+        self._heard = time.monotonic()
+        while self._report is None:
+            self._executor.spin_once(timeout_sec=POLL_S)
+            self._watch()
+            if time.monotonic() - self._heard > SILENCE_LIMIT_S:
+                raise NodeDied("physics_node", f"no progress for {SILENCE_LIMIT_S:.0f} s")
+        while self._final is None:
+            self._executor.spin_once(timeout_sec=POLL_S)
+            self._watch()
+
+    def _watch(self) -> None:
+        """Raises when a node is gone."""
+        for node in self._nodes:
+            if node.process.poll() is None:
+                continue
+            if node.process.returncode == RefusedInput.exit_code:
+                raise _Refused(node.last_words())
+            raise NodeDied(node.name, f"{node.ending()}: {node.last_words()}")
+
+    def _end(self) -> None:
+        """Ends every node: the recorder first, once what is on its way has arrived."""
+        recorder = next((node for node in self._nodes if node.name == "recorder_node"), None)
+        if recorder is not None:
+            self._stop(recorder, RECORDER_END_TIMEOUT_S)
+        others = [node for node in self._nodes if node is not recorder]
+        for node in others:
+            if node.process.poll() is None:
+                node.process.terminate()
+        for node in others:
+            self._stop(node, NODE_END_TIMEOUT_S)
+        self._notes = " | ".join(
+            line.split("]: ")[-1]
+            for node in self._nodes
+            if node.log.exists()
+            for line in node.log.read_text(encoding="utf-8", errors="replace").splitlines()
+            if "fell behind" in line or "never arrived" in line
+        ) or self._notes
+        self._nodes = []
+        if recorder is not None and self.bag is not None:
+            self._make_whole(self.bag)
+
+    @staticmethod
+    def _stop(node: NodeProcess, timeout_s: float) -> None:
+        if node.process.poll() is None:
+            node.process.terminate()
+        try:
+            node.process.wait(timeout_s)
+        except subprocess.TimeoutExpired:
+            node.process.kill()
+            node.process.wait()
+
+    @staticmethod
+    def _make_whole(bag: Path) -> None:
+        """A recorder that was killed leaves a file without its end."""
+        if any(bag.glob("*.part")):
+            from recordings.rescue import rescue_bag
+
+            rescue_bag(bag)
+
+    def _take_progress(self, message: Any) -> None:
+        from msgs_adapters.convert import progress_of
+
+        self._heard = time.monotonic()
+        progress = progress_of(message)
+        if progress.finished:
+            self._final = progress
+        if self.on_progress is not None:
+            self.on_progress(float(progress.values.get("time_s", "0")), self._states)
+
+    def _take_status(self, message: Any) -> None:
+        from msgs_adapters.convert import rule_states
+
+        self._states = {rule.rule: rule.state for rule in rule_states(message)}
+
+    def _take_report(self, message: Any) -> None:
+        self._report = message.data
+
+    def _result(self, wall_s: float) -> GraphResult:
+        assert self._report is not None and self._final is not None
+        values = self._final.values
+        ended_by = None
+        if self._final.error is not None:
+            ended_by = EndedByMonitor(values["monitor"], values["reason"], float(values["time_s"]))
+        return GraphResult(
+            judgement_json=self._report,
+            physics=PhysicsSummary(**json.loads(values["summary"])),
+            ended_by=ended_by,
+            wall_s=wall_s,
+            notes=self._notes,
+        )
+
+
+class _Refused(PalletTwinError):
+    """A node refused its input; its own line says why."""
+
+    exit_code = 2
+
+
+def _sum(first: dict[str, int], second: dict[str, int], *, only: tuple[str, ...]) -> dict[str, int]:
+    return {name: count for name in only if (count := first.get(name, 0) + second.get(name, 0))}

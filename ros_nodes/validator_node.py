@@ -1,0 +1,98 @@
+"""Judges the EUMOS limits live, from poses and scene alone."""
+
+from typing import Any
+
+from config.scene import Scene
+from config.scene_file import scene_from_json
+from msgs_adapters.convert import progress_of
+from msgs_adapters.pose_payloads import pose_frame_from_payload
+from msgs_adapters.publications import report_publication, rules_publication
+from msgs_adapters.topics import EUMOS_REPORT, EUMOS_STATUS, PACKAGES_POSES, PHYSICS_PROGRESS, SCENE
+from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
+from ros_nodes.readers import readers_wanted
+from sim_core.judge import EumosJudge
+from sim_core.report import judgement, report_json
+from sim_core.run import status_due
+
+
+class ValidatorNode(TwinNode):
+    """Publishes ``eumos/status`` ten times a simulated second and ``eumos/report`` at the end; subscribes to
+    ``scene``, ``packages/poses`` and ``physics/progress``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("validator_node")
+        self._readers = self.declare("readers", "", "matched readers to wait for, topic=count, comma-separated")
+        self._scene: Scene | None = None
+        self._judge: EumosJudge | None = None
+        self._last_ns = 0
+        self._frames_at_end: int | None = None
+        self._is_complete = True
+
+    def on_configure(self, state: LifecycleState) -> Any:
+        """Opens the topics; the judge is made when the scene arrives."""
+        self.open_topic(EUMOS_STATUS)
+        self.open_topic(EUMOS_REPORT)
+        self.listen(SCENE, self._take_scene)
+        self.listen(PACKAGES_POSES, self._take_poses, raw=True)
+        self.listen(PHYSICS_PROGRESS, self._take_progress)
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> Any:
+        """Waits for its readers."""
+        missing = self.wait_for_readers(readers_wanted(self._readers))
+        if missing is not None:
+            self.get_logger().error(f"no reader for {missing}")
+            return FAILURE
+        return super().on_activate(state)
+
+    def on_end(self) -> None:
+        """Sees that every reader has the report."""
+        self.wait_for_acknowledgement()
+
+    def _take_scene(self, message: Any) -> None:
+        if self._scene is None:
+            self._scene = scene_from_json(message.data)
+            self._judge = EumosJudge(self._scene)
+
+    def _take_poses(self, payload: bytes) -> None:
+        if self._judge is None or self._scene is None:
+            self.fail("poses came before the scene")
+            return
+        frame = pose_frame_from_payload(payload, self._judge.frame_count)
+        self._judge.add(frame)
+        self._last_ns = frame.stamp_ns
+        is_last = self._frames_at_end == self._judge.frame_count
+        if status_due(frame, self._scene) and not is_last:
+            self._send_status()
+        if is_last:
+            self._send_report()
+
+    def _take_progress(self, message: Any) -> None:
+        progress = progress_of(message)
+        if not progress.finished or self._frames_at_end is not None:
+            return
+        self._frames_at_end = progress.frames
+        self._is_complete = progress.error is None
+        if self._judge is not None and self._judge.frame_count == progress.frames:
+            self._send_report()
+
+    def _send_status(self) -> None:
+        assert self._judge is not None
+        self.send(rules_publication(self._last_ns, self._judge.rules()))
+
+    def _send_report(self) -> None:
+        assert self._judge is not None and self._scene is not None
+        if self._judge.frame_count:
+            self._send_status()
+        report = judgement(self._scene, self._judge, is_complete=self._is_complete)
+        self.send(report_publication(self._last_ns, report_json(report, compact=True)))
+
+
+def main(args: list[str] | None = None) -> None:
+    """Runs the node."""
+    run_node(ValidatorNode, args)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""The physics of the load, the sled and the standard. No ROS, no rendering, no learning."""

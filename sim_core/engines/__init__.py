@@ -1,0 +1,76 @@
+"""Rigid engines behind one small interface; each stands in its own file and is imported only when used."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from config.scene import Scene
+from sim_core.frames import Array
+from sim_core.friction import UnmetPair
+
+
+@dataclass(frozen=True)
+class ContactState:
+    """What the contacts look like at one moment.
+
+    Attributes:
+        count: number of contact points.
+        penetration_m: depth of the deepest contact [m], 0 when none is closed.
+        relative_penetration: depth over the smaller body's smallest edge, the largest of all contacts.
+        deepest: ids of the two bodies of that contact.
+        support_n: sum of the normal forces on the ground along z [N].
+    """
+
+    count: int
+    penetration_m: float
+    relative_penetration: float
+    deepest: tuple[str, str]
+    support_n: float
+
+
+class RigidEngine(Protocol):
+    """Rigid boxes on a sled, in frame ``sled``; row 0 of every array is the pallet."""
+
+    name: str
+    settings: Mapping[str, object]
+    unmet_friction: Sequence[UnmetPair]
+
+    def step(self, delta_velocity: Array, forces: Array | None) -> None:
+        """Advances by one step.
+
+        Args:
+            delta_velocity: change of the sled's velocity over the step [m/s], shape [3].
+            forces: external force on each body's centre over the step [N], shape [n, 3], or None.
+        """
+
+    def poses(self) -> tuple[Array, Array]:
+        """Centres [m], shape [n, 3], and unit quaternions x, y, z, w, shape [n, 4]."""
+
+    def velocities(self) -> tuple[Array, Array]:
+        """Linear [m/s] and angular [rad/s] velocities relative to the sled, each of shape [n, 3]."""
+
+    def contacts(self) -> ContactState:
+        """The contacts of the last step."""
+
+    def residual(self) -> float:
+        """What the constraint solver left unsolved in the last step, in the engine's own measure."""
+
+    def snapshot(self) -> int:
+        """Keeps the whole state in memory and returns its handle."""
+
+    def restore(self, handle: int) -> None:
+        """Returns to a kept state; what follows is bit-identical to what followed then."""
+
+    def close(self) -> None:
+        """Frees the engine."""
+
+
+def make_engine(scene: Scene) -> RigidEngine:
+    """Builds the engine that the scene names, with the scene's bodies in place.
+
+    Args:
+        scene: a resolved scene.
+    """
+    from sim_core.engines.bullet import BulletEngine
+
+    return BulletEngine(scene)

@@ -1,0 +1,284 @@
+"""The integrity check before a test: is this a load that can stand on a pallet at all?"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from config.errors import RefusedInput
+from config.materials import material_library
+from config.package import Package
+from config.scene import Scene, StandardPallet
+from config.scene_file import friction_table
+from sim_core.frames import Array
+from sim_core.geometry import clip_convex, footprint, height_span, overlap_depth, polygon_area
+
+OVERLAP_LIMIT_M = 1.0e-3
+TOUCH_M = 2.0e-3
+"""Faces this close count as touching: clearance and a palletising file's rounding to whole millimetres."""
+OVERHANG_LIMIT_M = 0.05
+DENSITY_RANGE = (5.0, 8000.0)
+"""Plausible density of a package [kg/m³]: lighter than foam chips or heavier than steel is a slip of units."""
+EDGE_RANGE_M = (0.005, 3.0)
+SUPPORT_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that the check found.
+
+    Attributes:
+        severity: ``error`` refuses the test, ``warning`` and ``note`` only tell.
+        check: name of the check, such as ``overlap``.
+        subject: the package or packages concerned.
+        value: measured value with its unit.
+        limit: what would be accepted, or what follows.
+    """
+
+    severity: Literal["error", "warning", "note"]
+    check: str
+    subject: str
+    value: str
+    limit: str
+
+
+@dataclass(frozen=True)
+class Support:
+    """One package standing on something: indices into the scene's packages, -1 the pallet, -2 the sled."""
+
+    package: int
+    below: int
+    area_m2: float
+    patch: Array
+
+
+def supports(scene: Scene) -> list[Support]:
+    """What every package stands on at the start: faces within 2 mm in height that overlap in plan."""
+    packages = scene.packages
+    found: list[Support] = []
+    spans = np.array([height_span(package) for package in packages]).reshape(-1, 2)
+    outlines = [footprint(package) for package in packages]
+    lows = np.array([outline.min(axis=0) for outline in outlines]).reshape(-1, 2)
+    highs = np.array([outline.max(axis=0) for outline in outlines]).reshape(-1, 2)
+    pallet = scene.pallet_box
+    for i, outline in enumerate(outlines):
+        meets = (lows < highs[i]).all(axis=1) & (highs > lows[i]).all(axis=1)
+        near = np.flatnonzero(meets & (np.abs(spans[i, 0] - spans[:, 1]) <= TOUCH_M))
+        grounds = [(int(j), outlines[int(j)]) for j in near if int(j) != i]
+        if pallet is not None and abs(spans[i, 0] - pallet.size_m[2]) <= TOUCH_M:
+            half = 0.5 * np.array(pallet.size_m[:2])
+            grounds.append((-1, np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half))
+        if abs(spans[i, 0]) <= TOUCH_M:
+            found.append(Support(i, -2, polygon_area(outline), outline))
+        for below, ground in grounds:
+            patch = clip_convex(outline, ground)
+            if len(patch) >= 3 and polygon_area(patch) > 1.0e-8:
+                found.append(Support(i, below, polygon_area(patch), patch))
+    return found
+
+
+def touching_surfaces(scene: Scene) -> set[frozenset[str]]:
+    """Pairs of surfaces that carry weight at the start."""
+    return {_surface_pair(scene, support) for support in supports(scene)}
+
+
+def check_integrity(scene: Scene) -> list[Finding]:
+    """Everything that is wrong or remarkable about a resolved scene's load, errors first."""
+    findings = [
+        *_overlaps(scene),
+        *_supports(scene),
+        *_pallet_bounds(scene),
+        *_plausibility(scene),
+        *_missing_friction(scene),
+    ]
+    order = {"error": 0, "warning": 1, "note": 2}
+    return sorted(findings, key=lambda finding: order[finding.severity])
+
+
+def require_integrity(scene: Scene) -> list[Finding]:
+    """The findings of a load that can be tested.
+
+    Raises:
+        RefusedInput: the first error, naming packages, value and limit.
+    """
+    findings = check_integrity(scene)
+    errors = [finding for finding in findings if finding.severity == "error"]
+    if errors:
+        first = errors[0]
+        more = f" ({len(errors) - 1} more)" if len(errors) > 1 else ""
+        raise RefusedInput(f"{first.check} of {first.subject}", first.value, first.limit + more)
+    return findings
+
+
+def deepest_overlaps(packages: tuple[Package, ...]) -> list[tuple[float, Package, Package]]:
+    """All pairs of packages that overlap, deepest first: depth [m] and the two."""
+    outlines = [footprint(package) for package in packages]
+    spans = np.array([height_span(package) for package in packages]).reshape(-1, 2)
+    lows = np.column_stack([np.array([o.min(axis=0) for o in outlines]).reshape(-1, 2), spans[:, :1]])
+    highs = np.column_stack([np.array([o.max(axis=0) for o in outlines]).reshape(-1, 2), spans[:, 1:]])
+    found = []
+    for i in range(len(packages)):
+        meets = (lows[i + 1 :] < highs[i]).all(axis=1) & (highs[i + 1 :] > lows[i]).all(axis=1)
+        for j in np.flatnonzero(meets) + i + 1:
+            depth = overlap_depth(packages[i], packages[int(j)])
+            if depth > 1.0e-9:
+                found.append((depth, packages[i], packages[int(j)]))
+    return sorted(found, key=lambda entry: -entry[0])
+
+
+def _overlaps(scene: Scene) -> list[Finding]:
+    found: list[Finding] = []
+    pairs = deepest_overlaps(scene.packages)
+    for depth, first, second in pairs:
+        if depth > OVERLAP_LIMIT_M:
+            found.append(
+                Finding("error", "overlap", f"{first.id} and {second.id}", f"{1000.0 * depth:.2f} mm",
+                        f"at most {1000.0 * OVERLAP_LIMIT_M:.0f} mm")
+            )  # fmt: skip
+    small = [depth for depth, _, _ in pairs if depth <= OVERLAP_LIMIT_M]
+    if small:
+        found.append(
+            Finding("note", "overlap", f"{len(small)} pairs", f"up to {1000.0 * max(small):.2f} mm",
+                    "pushed apart while the load settles")
+        )  # fmt: skip
+    return found
+
+
+def _supports(scene: Scene) -> list[Finding]:
+    found: list[Finding] = []
+    standing = supports(scene)
+    for index, package in enumerate(scene.packages):
+        own = [support for support in standing if support.package == index]
+        if not own:
+            gap = _gap_below(scene, index)
+            found.append(
+                Finding("error", "support", package.id, f"{1000.0 * gap:.1f} mm above what is below it",
+                        f"must stand on something within {1000.0 * TOUCH_M:.0f} mm")
+            )  # fmt: skip
+            continue
+        outside = _outside_support(package, own)
+        if outside > 0.0:
+            found.append(
+                Finding("error", "support", package.id, f"centre {1000.0 * outside:.1f} mm outside its support",
+                        "must stand by itself")
+            )  # fmt: skip
+        share = sum(support.area_m2 for support in own) / polygon_area(footprint(package))
+        if share < SUPPORT_SHARE and outside <= 0.0:
+            found.append(
+                Finding("warning", "support", package.id, f"{100.0 * share:.0f} % of its base rests on something",
+                        f"usually at least {100.0 * SUPPORT_SHARE:.0f} %")
+            )  # fmt: skip
+    return found
+
+
+def _gap_below(scene: Scene, index: int) -> float:
+    package = scene.packages[index]
+    bottom, outline = height_span(package)[0], footprint(package)
+    tops = [0.0]
+    pallet = scene.pallet_box
+    if pallet is not None:
+        half = 0.5 * np.array(pallet.size_m[:2])
+        if len(clip_convex(outline, np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]]) * half)) >= 3:
+            tops.append(pallet.size_m[2])
+    for j, other in enumerate(scene.packages):
+        top = height_span(other)[1]
+        if j != index and top <= bottom + TOUCH_M and len(clip_convex(outline, footprint(other))) >= 3:
+            tops.append(top)
+    return bottom - max(tops)
+
+
+def _outside_support(package: Package, own: list[Support]) -> float:
+    """How far the centre of mass lies outside the convex hull of the support patches [m], 0 if inside."""
+    points = np.concatenate([support.patch for support in own])
+    centre = np.array(package.position_m[:2])
+    hull = _convex_hull(points)
+    edges = np.roll(hull, -1, axis=0) - hull
+    lengths = np.hypot(edges[:, 0], edges[:, 1])
+    offset = centre - hull
+    outside = -(edges[:, 0] * offset[:, 1] - edges[:, 1] * offset[:, 0]) / np.maximum(lengths, 1.0e-12)
+    return max(0.0, float(outside.max()))
+
+
+def _convex_hull(points: Array) -> Array:
+    """Convex hull, counter-clockwise, shape [n, 2] (Andrew's monotone chain)."""
+    ordered = sorted(map(tuple, np.round(points, 9).tolist()))
+    def chain(sequence: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+        hull: list[tuple[float, ...]] = []
+        for point in sequence:
+            while len(hull) >= 2 and (hull[-1][0] - hull[-2][0]) * (point[1] - hull[-2][1]) <= (
+                hull[-1][1] - hull[-2][1]
+            ) * (point[0] - hull[-2][0]):
+                hull.pop()
+            hull.append(point)
+        return hull
+    return np.array(chain(ordered)[:-1] + chain(ordered[::-1])[:-1])
+
+
+def _pallet_bounds(scene: Scene) -> list[Finding]:
+    pallet = scene.pallet_box
+    if pallet is None:
+        return []
+    found: list[Finding] = []
+    half = 0.5 * np.array(pallet.size_m[:2])
+    worst, who = 0.0, ""
+    for package in scene.packages:
+        outline = footprint(package)
+        if (np.abs(np.array(package.position_m[:2])) > half).any():
+            beyond = float((np.abs(np.array(package.position_m[:2])) - half).max())
+            found.append(
+                Finding("error", "position", package.id, f"centre {1000.0 * beyond:.1f} mm off the pallet",
+                        f"must stand within the pallet's {pallet.size_m[0]:g} m x {pallet.size_m[1]:g} m")
+            )  # fmt: skip
+            continue
+        overhang = float((np.abs(outline) - half).max())
+        if overhang > worst:
+            worst, who = overhang, package.id
+    if worst > 1.0e-6:
+        severity: Literal["warning", "note"] = "warning" if worst > OVERHANG_LIMIT_M else "note"
+        found.append(
+            Finding(severity, "overhang", who, f"{1000.0 * worst:.1f} mm beyond the pallet's edge",
+                    f"usually at most {1000.0 * OVERHANG_LIMIT_M:.0f} mm")
+        )  # fmt: skip
+    return found
+
+
+def _plausibility(scene: Scene) -> list[Finding]:
+    found: list[Finding] = []
+    for package in scene.packages:
+        density = package.mass_kg / float(np.prod(package.size_m))
+        if not DENSITY_RANGE[0] <= density <= DENSITY_RANGE[1]:
+            found.append(
+                Finding("warning", "density", package.id, f"{density:.3g} kg/m³",
+                        f"usually {DENSITY_RANGE[0]:g} to {DENSITY_RANGE[1]:g}; are mass and size in kg and m?")
+            )  # fmt: skip
+        smallest, largest = min(package.size_m), max(package.size_m)
+        if package.kind == "package" and not (smallest >= EDGE_RANGE_M[0] and largest <= EDGE_RANGE_M[1]):
+            found.append(
+                Finding("warning", "size", package.id, " x ".join(f"{edge:g}" for edge in package.size_m) + " m",
+                        f"edges usually {EDGE_RANGE_M[0]:g} m to {EDGE_RANGE_M[1]:g} m; are they in metres?")
+            )  # fmt: skip
+    total = sum(package.mass_kg for package in scene.packages)
+    if isinstance(scene.pallet, StandardPallet):
+        safe = material_library().pallets[scene.pallet.kind].safe_load_kg
+        if total > safe:
+            found.append(
+                Finding("warning", "mass", "the load", f"{total:g} kg", f"the pallet's safe load is {safe:g} kg")
+            )
+    return found
+
+
+def _missing_friction(scene: Scene) -> list[Finding]:
+    missing = sorted(tuple(sorted(pair)) for pair in touching_surfaces(scene) - set(friction_table(scene)))
+    return [
+        Finding("error", "friction", f"{pair[0]} on {pair[-1]}", "missing", "add the pair to surfaces.pairs")
+        for pair in missing
+    ]
+
+
+def _surface_pair(scene: Scene, support: Support) -> frozenset[str]:
+    pallet = scene.pallet_box
+    if support.below == -1 and pallet is not None:
+        other = pallet.surface
+    else:
+        other = "sled" if support.below < 0 else scene.packages[support.below].surface
+    return frozenset((scene.packages[support.package].surface, other))

@@ -1,0 +1,227 @@
+"""The report: one dictionary that says what was tested, what came out, how sure it is and what it cost."""
+
+import json
+import os
+import platform
+import sys
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from config.scene import Scene
+from sim_core.companion import ErrorEstimate
+from sim_core.integrity import Finding
+from sim_core.judge import EumosJudge, Verdict, corner_name, verdict_of
+from sim_core.load_test import MAXIMUM_RELATIVE_PENETRATION, MAXIMUM_SPEED_MPS
+from sim_core.run import PhysicsSummary
+from sim_core.sled import build_profile
+
+Report = dict[str, Any]
+
+
+def judgement(scene: Scene, judge: EumosJudge, *, is_complete: bool = True) -> Report:
+    """The part of the report that follows from scene and poses alone: the same bytes for the same poses.
+
+    Args:
+        scene: the resolved scene.
+        judge: a judge that has taken every frame.
+        is_complete: False when the test was ended early: then nothing can have passed.
+    """
+    rules = judge.rules() if judge.frame_count else []
+    verdict: Verdict = verdict_of(rules) if is_complete and rules else "unresolved"
+    return {
+        "name": scene.name,
+        "verdict": verdict,
+        "rules": [_rule_entry(rule) for rule in rules],
+        "packages": [asdict(package) for package in judge.packages()] if rules else [],
+        "height_m": judge.height_m if rules else None,
+        "series": asdict(judge.series()) if rules else None,
+        "moments": _moments(judge) if rules else [],
+        "sled": _sled_entry(scene),
+        "load": _load_entry(scene),
+        "scene_sha256": scene.sha256,
+    }
+
+
+def full_report(
+    judged: Report,
+    scene: Scene,
+    *,
+    physics: PhysicsSummary,
+    findings: list[Finding],
+    estimate: ErrorEstimate | None,
+    wall_s: float,
+    mode: str,
+) -> Report:
+    """The judgement with error estimate, numerics, integrity and versions.
+
+    Args:
+        judged: what ``judgement`` gave, here or in the validator node.
+        scene: the resolved scene.
+        physics: the physics' own account.
+        findings: the integrity check's findings.
+        estimate: the companion's, or None when none was asked for.
+        wall_s: wall time of the test [s].
+        mode: how it ran: ``run``, ``up fast`` or ``up real``.
+    """
+    report = dict(judged)
+    if estimate is not None and physics.ended_by is None:
+        report["rules"] = [_with_error(rule, estimate) for rule in judged["rules"]]
+        report["verdict"] = _verdict_with(report["rules"], estimate)
+    report["numerics"] = _numerics(scene, physics, estimate, wall_s, mode)
+    report["integrity"] = [asdict(finding) for finding in findings]
+    report["versions"] = versions()
+    return report
+
+
+def worst_by_rule(judged: Report) -> dict[str, float]:
+    """Each rule's worst displacement [mm], by rule name."""
+    return {rule["rule"]: rule["worst_mm"] for rule in judged["rules"] if rule["worst_mm"] is not None}
+
+
+def _with_error(rule: dict[str, Any], estimate: ErrorEstimate) -> dict[str, Any]:
+    """The rule with its error estimate; ``unresolved`` where the estimate reaches across the limit."""
+    error_mm = estimate.by_rule_mm.get(rule["rule"])
+    if rule["margin_mm"] is None or error_mm is None:
+        return rule
+    return {**rule, "error_mm": error_mm, "state": rule["state"] if abs(rule["margin_mm"]) > error_mm else "unresolved"}
+
+
+def _verdict_with(rules: list[dict[str, Any]], estimate: ErrorEstimate) -> Verdict:
+    """One rule that fails beyond its error settles the verdict; without an estimate nothing is settled."""
+    states = {rule["state"] for rule in rules}
+    if estimate.largest_mm is None:
+        return "unresolved"
+    if "fail" in states:
+        return "fail"
+    return "unresolved" if "unresolved" in states else "pass"
+
+
+def write_report(report: Report, path: Path) -> None:
+    """Writes a report as indented JSON, whole or not at all."""
+    scratch = path.with_name(path.name + ".part")
+    scratch.write_text(report_json(report) + "\n", encoding="utf-8")
+    os.replace(scratch, path)
+
+
+def report_json(report: Report, *, compact: bool = False) -> str:
+    """A report as JSON text; numbers are rounded to a nanometre or finer, so that texts stay short."""
+    return json.dumps(
+        _rounded(report), ensure_ascii=False, allow_nan=False, indent=None if compact else 1,
+        separators=(",", ":") if compact else None,
+    )  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that a result depends on."""
+    found = {"python": platform.python_version(), "platform": f"{platform.system()} {platform.machine()}"}
+    for name in ("pallet-twin", "numpy", "pybullet", "pydantic"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed as a package"
+    return found
+
+
+def _rule_entry(rule: Any) -> dict[str, Any]:
+    entry = asdict(rule)
+    if rule.corner is not None:
+        entry["corner_name"] = corner_name(rule.corner)
+    return entry
+
+
+def _moments(judge: EumosJudge) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": moment.name,
+            "time_s": moment.time_s,
+            "positions_m": moment.frame.positions.tolist(),
+            "orientations_xyzw": moment.frame.orientations.tolist(),
+        }
+        for moment in judge.moments()
+    ]
+
+
+def _sled_entry(scene: Scene) -> dict[str, Any]:
+    profile = build_profile(scene)
+    thin = max(1, len(profile.times) // 2000)
+    return {
+        "profile": scene.sled.profile,
+        "times_s": profile.times[::thin].tolist(),
+        "acceleration_mps2": profile.accelerations[::thin].tolist(),
+        "velocity_mps": profile.velocities[::thin].tolist(),
+        "peak_mps2": profile.peak_mps2,
+        "travel_m": float((profile.positions[-1] ** 2).sum() ** 0.5),
+        "stop_s": profile.end_s,
+    }
+
+
+def _load_entry(scene: Scene) -> dict[str, Any]:
+    source = getattr(scene.load, "source", None)
+    return {
+        "package_count": sum(package.kind == "package" for package in scene.packages),
+        "interlayer_count": sum(package.kind == "interlayer" for package in scene.packages),
+        "mass_kg": sum(package.mass_kg for package in scene.packages),
+        "source": source.model_dump() if source is not None else None,
+    }
+
+
+def _numerics(
+    scene: Scene, physics: PhysicsSummary, estimate: ErrorEstimate | None, wall_s: float, mode: str
+) -> dict[str, Any]:
+    largest = estimate.largest_mm if estimate is not None else None
+    edges = [edge for package in scene.packages for edge in package.size_m]
+    return {
+        "mode": mode,
+        "engine": physics.engine,
+        "time_step_s": scene.time_step_s,
+        "iterations": scene.iterations,
+        "settings": physics.settings,
+        "steps": physics.steps,
+        "error_estimate_mm": largest,
+        "error_estimate_from": _estimate_origin(scene, estimate),
+        "tolerance_mm": scene.solver.tolerance_mm,
+        "within_tolerance": None if largest is None else largest <= scene.solver.tolerance_mm,
+        "max_penetration_mm": 1000.0 * physics.penetration_m,
+        "max_contacts": physics.contact_count,
+        "solver_residual": physics.residual,
+        "energy_residual": None,
+        "settle_s": physics.settle_s,
+        "simulated_s": physics.simulated_s,
+        "at_rest": physics.at_rest,
+        "wall_time_s": wall_s,
+        "real_time_factor": (physics.simulated_s + physics.settle_s) / wall_s if wall_s > 0.0 else None,
+        "unmet_friction": physics.unmet_friction,
+        "ended_by": physics.ended_by,
+        "monitors": [
+            {"monitor": "speed", "worst": physics.speed_mps, "limit": MAXIMUM_SPEED_MPS, "unit": "m/s"},
+            {
+                "monitor": "penetration",
+                "worst": 1000.0 * physics.penetration_m,
+                "limit": 1000.0 * MAXIMUM_RELATIVE_PENETRATION * min(edges, default=0.0),
+                "unit": "mm, the limit for the thinnest body and three checks running",
+            },
+        ],
+    }
+
+
+def _estimate_origin(scene: Scene, estimate: ErrorEstimate | None) -> str:
+    if estimate is None:
+        return "not asked for"
+    if estimate.problem is not None:
+        return f"none: {estimate.problem}"
+    return (
+        f"difference between steps of {1000.0 * scene.time_step_s:.4g} ms"
+        f" and {1000.0 * estimate.companion_step_s:.4g} ms"
+    )
+
+
+def _rounded(value: Any) -> Any:
+    if isinstance(value, float):
+        return round(value, 9)
+    if isinstance(value, dict):
+        return {key: _rounded(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_rounded(entry) for entry in value]
+    return value
