@@ -28,4 +28,6 @@ class Package(BaseModel):
     kind: Literal["package", "interlayer"] = Field(
         default="package", description="an interlayer is a sheet between two layers"
     )
-    layer: int | None = Field(default=None, ge=1, description="layer number from below, where the source names it")
+    layer: int | None = Field(
+        default=None, ge=1, description="layer number from below, where the source names it"
+    )

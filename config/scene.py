@@ -150,8 +150,12 @@ class EumosSled(Part):
     profile: Literal["eumos"] = "eumos"
     level_g: float = Field(ge=0.0, le=2.0, description="plateau acceleration [g]")
     rise_s: float = Field(default=0.05, ge=0.0, le=0.05, description="from rest to the level [s]")
-    plateau_s: float = Field(default=0.5, ge=0.3, le=5.0, description="at the level; the standard asks for 0.3 s [s]")
-    deceleration_g: float = Field(default=0.2, gt=0.0, le=2.0, description="constant deceleration to rest [g]")
+    plateau_s: float = Field(
+        default=0.5, ge=0.3, le=5.0, description="at the level; the standard asks for 0.3 s [s]"
+    )
+    deceleration_g: float = Field(
+        default=0.2, gt=0.0, le=2.0, description="constant deceleration to rest [g]"
+    )
     fall_s: float = Field(default=0.05, ge=0.0, le=0.5, description="from the level to the deceleration [s]")
     lead_s: float = Field(default=0.1, ge=0.0, le=10.0, description="standstill before the rise [s]")
     direction: Direction = "+x"
@@ -201,7 +205,9 @@ class ForceFields(Part):
 
     tension: float = Field(default=1.0, ge=0.0, le=1.0e9, description="T, dimensionless")
     height_spread_m: float = Field(default=0.6, gt=0.0, le=100.0, description="σ_h [m]")
-    distance_m: float = Field(default=0.05, ge=0.005, le=5.0, description="d, from perimeter to field plane [m]")
+    distance_m: float = Field(
+        default=0.05, ge=0.005, le=5.0, description="d, from perimeter to field plane [m]"
+    )
     falloff: float = Field(default=2.0, gt=0.0, le=6.0, description="exponent of the falloff with distance")
 
 
@@ -209,7 +215,9 @@ class Accelerometer(Part):
     """The sled's accelerometer: rate, white noise and bias."""
 
     rate_hz: int = Field(default=1000, ge=10, le=10_000)
-    noise_mps2: float = Field(default=0.05, ge=0.0, le=10.0, description="standard deviation of a reading [m/s²]")
+    noise_mps2: float = Field(
+        default=0.05, ge=0.0, le=10.0, description="standard deviation of a reading [m/s²]"
+    )
     bias_mps2: Point3 = (0.0, 0.0, 0.0)
 
 
@@ -218,7 +226,9 @@ class Limits(Part):
 
     permanent_fraction: Fraction = Field(default=0.05, description="(i) permanent, any part")
     base_permanent_m: float = Field(default=0.04, gt=0.0, description="(ii) permanent, on the pallet [m]")
-    base_height_m: float = Field(default=0.20, gt=0.0, description="(ii) how far up 'on the pallet' reaches [m]")
+    base_height_m: float = Field(
+        default=0.20, gt=0.0, description="(ii) how far up 'on the pallet' reaches [m]"
+    )
     elastic_fraction: Fraction = Field(default=0.10, description="(iii) elastic peak, any part")
     layer_fraction: Fraction | None = Field(
         default=None, description="layer against layer, some laboratories only (0.02); unverified"
@@ -242,7 +252,9 @@ class Solver(Part):
     """Engine and accuracy: a tolerance for the error estimate, or explicit settings."""
 
     engine: Literal["bullet"] = "bullet"
-    tolerance_mm: float = Field(default=1.0, gt=0.0, le=1000.0, description="wanted bound of the error estimate")
+    tolerance_mm: float = Field(
+        default=1.0, gt=0.0, le=1000.0, description="wanted bound of the error estimate"
+    )
     time_step_s: float | None = Field(default=None, ge=1.0e-5, le=0.02)
     iterations: int | None = Field(default=None, ge=1, le=10_000)
 

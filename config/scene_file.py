@@ -21,7 +21,9 @@ _UNION_TAGS = {"packages", "file", "epal1", "custom", "eumos", "table", "recorde
 def shipped_scenes() -> list[str]:
     """Names of the scenes that come with the product."""
     folder = files("config").joinpath("scenes")
-    return sorted(entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json"))
+    return sorted(
+        entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json")
+    )
 
 
 def find_scene(name_or_path: str) -> Path:
@@ -91,7 +93,9 @@ def resolve_scene(scene: Scene, base: Path) -> Scene:
     if isinstance(scene.load, FileLoad):
         scene = _resolve_pattern(scene, scene.load, base)
     elif isinstance(scene.pallet, FilePallet):
-        raise RefusedInput("pallet.kind", "file", "needs load.file, a palletising file to take the pallet from")
+        raise RefusedInput(
+            "pallet.kind", "file", "needs load.file, a palletising file to take the pallet from"
+        )
     _check_surfaces(scene)
     return scene
 
@@ -202,7 +206,9 @@ def _apply_override(raw: dict[str, Any], override: str) -> None:
             node[part] = {}
         node = node[part]
         if not isinstance(node, (dict, list)):
-            raise RefusedInput("--set", override, f"{'.'.join(parents[: depth + 1])} holds a value, not a part")
+            raise RefusedInput(
+                "--set", override, f"{'.'.join(parents[: depth + 1])} holds a value, not a part"
+            )
     if isinstance(node, list):
         node[_list_index(node, last, key)] = value
     else:
@@ -219,7 +225,9 @@ def _refusal(error: ValidationError) -> RefusedInput:
     first, count = error.errors()[0], error.error_count()
     place = [str(part) for part in first["loc"]]
     field = ".".join(
-        part for i, part in enumerate(place) if not (i == 1 and place[0] in ("load", "pallet", "sled") and part in _UNION_TAGS)
+        part
+        for i, part in enumerate(place)
+        if not (i == 1 and place[0] in ("load", "pallet", "sled") and part in _UNION_TAGS)
     )
     limit = first["msg"].removeprefix("Value error, ").replace("Input should", "must")
     if first["type"] == "extra_forbidden":
@@ -275,7 +283,9 @@ def _place(package: Package, load: FileLoad, deck_z: float) -> Package:
     trim = 0.0 if is_sheet else load.clearance_m
     if min(length, width) <= 4.0 * trim:
         raise RefusedInput(
-            "load.clearance_m", load.clearance_m, f"must be under a quarter of the smallest edge ({package.id})"
+            "load.clearance_m",
+            load.clearance_m,
+            f"must be under a quarter of the smallest edge ({package.id})",
         )
     return package.model_copy(
         update={
@@ -287,7 +297,9 @@ def _place(package: Package, load: FileLoad, deck_z: float) -> Package:
 
 
 def _check_surfaces(scene: Scene) -> None:
-    known = set(material_library().surfaces) | {name for pair in scene.surfaces.pairs for name in pair.between}
+    known = set(material_library().surfaces) | {
+        name for pair in scene.surfaces.pairs for name in pair.between
+    }
     limit = f"unknown material; known: {', '.join(sorted(known))}"
     for index, package in enumerate(scene.packages):
         if package.surface not in known:

@@ -178,7 +178,7 @@ class BagReader:
                     record = self._record_at(index.offset, index.length)
                     if not isinstance(record, Attachment) or record.name != name:
                         raise ValueError("the index points elsewhere")
-                    return record.data
+                    return bytes(record.data)
         raise BrokenRecording("attachment", name, self._lacks(self.attachment_names))
 
     def metadata(self, name: str) -> dict[str, str]:

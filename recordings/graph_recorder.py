@@ -6,6 +6,7 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from config.scene import Scene
 from config.scene_file import scene_from_json
@@ -150,7 +151,10 @@ class GraphRecorder:
             self._frames += 1
         if transforms is not None:
             self._writer.write(
-                self._names[TF], transforms.payload, log_time_ns=self._now_ns, publish_time_ns=transforms.stamp_ns
+                self._names[TF],
+                transforms.payload,
+                log_time_ns=self._now_ns,
+                publish_time_ns=transforms.stamp_ns,
             )
 
 
@@ -175,7 +179,7 @@ def stamp_of(topic: Topic, payload: bytes) -> int | None:
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
-def _decode(topic: Topic, payload: bytes):  # type: ignore[no-untyped-def]
+def _decode(topic: Topic, payload: bytes) -> Any:
     from rclpy.serialization import deserialize_message
 
     return deserialize_message(payload, message_class(topic.type_name))

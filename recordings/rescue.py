@@ -58,7 +58,9 @@ def _copy_messages(source: Path, directory: Path) -> int:
             pass  # The end of what is whole.
         if scene_json is not None:
             attach_scene(writer, scene_from_json(scene_json))
-        writer.add_metadata("pallet-twin recorder", {"rescued": "the recorder was ended before it could finish"})
+        writer.add_metadata(
+            "pallet-twin recorder", {"rescued": "the recorder was ended before it could finish"}
+        )
         return sum(writer.message_counts.values())
 
 

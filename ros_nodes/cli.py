@@ -25,12 +25,15 @@ app = typer.Typer(
 SceneArgument = Annotated[
     str,
     typer.Argument(
-        metavar="SCENE", help="A scene file, a palletising file (then tested at 0.5 g), or a shipped scene's name."
+        metavar="SCENE",
+        help="A scene file, a palletising file (then tested at 0.5 g), or a shipped scene's name.",
     ),
 ]
 SetOption = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="Override a value, e.g. sled.level_g=0.6. May be repeated."),
+    typer.Option(
+        "--set", metavar="KEY=VALUE", help="Override a value, e.g. sled.level_g=0.6. May be repeated."
+    ),
 ]
 OutOption = Annotated[
     Path | None,
@@ -39,9 +42,13 @@ OutOption = Annotated[
 OverwriteOption = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier test in --out.")]
 EstimateOption = Annotated[
     bool,
-    typer.Option("--estimate/--no-estimate", help="Run the test once more at twice the step for an error estimate."),
+    typer.Option(
+        "--estimate/--no-estimate", help="Run the test once more at twice the step for an error estimate."
+    ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")]
+JsonOption = Annotated[
+    bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")
+]
 RequireOption = Annotated[
     Literal["pass"] | None,
     typer.Option("--require", metavar="pass", help="Exit with 4 unless this is the verdict."),
@@ -79,7 +86,8 @@ def run(
 def up(
     scene: SceneArgument,
     pace: Annotated[
-        Literal["fast", "real"], typer.Option(help="fast: as the physics acknowledges; real: on the wall clock.")
+        Literal["fast", "real"],
+        typer.Option(help="fast: as the physics acknowledges; real: on the wall clock."),
     ] = "fast",
     out: OutOption = None,
     record: Annotated[
@@ -116,7 +124,9 @@ def up(
 
 @app.command()
 def check(
-    file: Annotated[str, typer.Argument(metavar="FILE", help="A scene, a palletising file, a bag, or a shipped scene.")],
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A scene, a palletising file, a bag, or a shipped scene.")
+    ],
     set_: SetOption = None,
     as_json: JsonOption = False,
 ) -> None:

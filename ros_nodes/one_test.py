@@ -47,8 +47,10 @@ class TestOutcome:
     ended_by: EndedByMonitor | None
 
 
-def make_folder(scene: Scene, out: Path | None, *, overwrite: bool, with_bag: bool, bag: Path | None = None) -> TestFolder:
-    """Makes the folder of a test: ``out``, or the first free one of ``runs/NAME``, ``runs/NAME-2`` …
+def make_folder(
+    scene: Scene, out: Path | None, *, overwrite: bool, with_bag: bool, bag: Path | None = None
+) -> TestFolder:
+    """Makes the folder of a test: ``out``, or the first free one of ``runs/NAME``, ``runs/NAME-2`` and so on.
 
     Raises:
         RefusedInput: the folder exists and is not empty, or cannot be made.
@@ -61,7 +63,9 @@ def make_folder(scene: Scene, out: Path | None, *, overwrite: bool, with_bag: bo
             if not overwrite:
                 raise RefusedInput("--out", str(folder), "is not empty; choose another, or add --overwrite")
             if not (folder / "report.json").exists():
-                raise RefusedInput("--out", str(folder), "holds no earlier test; --overwrite touches nothing else")
+                raise RefusedInput(
+                    "--out", str(folder), "holds no earlier test; --overwrite touches nothing else"
+                )
             for name in ("bag", "report.json", "report.html"):
                 _remove(folder / name)
         folder.mkdir(parents=True, exist_ok=True)

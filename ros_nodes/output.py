@@ -118,7 +118,9 @@ def show_check(findings: Sequence[Finding], facts: Mapping[str, Any], *, as_json
             if not isinstance(value, (list, dict)):
                 print(f"{name:14} {value}")
         for finding in findings:
-            print(f"{finding.severity}: {finding.check} of {finding.subject} = {finding.value}: {finding.limit}")
+            print(
+                f"{finding.severity}: {finding.check} of {finding.subject} = {finding.value}: {finding.limit}"
+            )
         print("refused" if errors else "fit to be tested" if "packages" in facts else "whole")
     if errors:
         sys.exit(2)

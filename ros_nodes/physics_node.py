@@ -25,7 +25,7 @@ from msgs_adapters.topics import (
     SCENE,
     SLED_ACCELERATION,
 )
-from ros_nodes.node_process import FAILURE, SUCCESS, LifecycleState, TwinNode, run_node
+from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
 from ros_nodes.readers import readers_wanted
 from sim_core.load_test import LoadTest
 from sim_core.run import summarise_physics
@@ -33,8 +33,10 @@ from sim_core.sled import stamp_ns
 
 
 class PhysicsNode(TwinNode):
-    """Publishes ``packages/poses``, ``physics/progress``, the latched ``scene`` and ``robot_description``,
-    and ``packages/markers`` while somebody looks at them; subscribes to ``sled/acceleration``.
+    """The physics as a node.
+
+    Publishes ``packages/poses``, ``physics/progress``, the latched ``scene`` and ``robot_description``, and
+    ``packages/markers`` while somebody looks at them; subscribes to ``sled/acceleration``.
 
     A gap in the samples ends the test: a pose after it would be wrong.
     """
@@ -42,7 +44,9 @@ class PhysicsNode(TwinNode):
     def __init__(self) -> None:
         super().__init__("physics_node")
         self._scene_file = self.declare("scene_file", "", "resolved scene as JSON")
-        self._readers = self.declare("readers", "", "matched readers to wait for, topic=count, comma-separated")
+        self._readers = self.declare(
+            "readers", "", "matched readers to wait for, topic=count, comma-separated"
+        )
         self._acknowledge = self.declare(
             "acknowledge_samples", 16, "samples between two progress messages", from_value=1, to_value=4000
         )
@@ -59,7 +63,14 @@ class PhysicsNode(TwinNode):
             raise RefusedInput("scene_file", self._scene_file, error.strerror or "cannot be read") from None
         self._scene = scene_from_json(text)
         self._test = LoadTest(self._scene)
-        for topic in (PACKAGES_POSES, PACKAGES_MARKERS, PHYSICS_PROGRESS, SCENE, ROBOT_DESCRIPTION, DIAGNOSTICS):
+        for topic in (
+            PACKAGES_POSES,
+            PACKAGES_MARKERS,
+            PHYSICS_PROGRESS,
+            SCENE,
+            ROBOT_DESCRIPTION,
+            DIAGNOSTICS,
+        ):
             self.open_topic(topic)
         self.listen(SLED_ACCELERATION, self._take_sample)
         return super().on_configure(state)
@@ -92,10 +103,7 @@ class PhysicsNode(TwinNode):
             self.fail(f"sled/acceleration has a gap: sample {self._next} at {due_ns} ns is missing")
             return
         try:
-            if self._next == 0:
-                frame = self._test.settle(sample.stamp_ns)
-            else:
-                frame = self._test.feed(self._next, sample.acceleration, sample.stamp_ns)
+            frame = self._test.feed(self._next, sample.acceleration, sample.stamp_ns)
         except EndedByMonitor as error:
             self._over = True
             self._report_progress(error)

@@ -9,7 +9,7 @@ from config.scene_file import scene_from_json
 from msgs_adapters.convert import progress_of
 from msgs_adapters.publications import reading_publication, sample_publications, sled_topics
 from msgs_adapters.topics import PHYSICS_PROGRESS, SCENE
-from ros_nodes.node_process import FAILURE, SUCCESS, LifecycleState, TwinNode, run_node
+from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
 from ros_nodes.readers import readers_wanted
 from sim_core.frames import SledSample
 from sim_core.run import Peekable
@@ -17,7 +17,9 @@ from sim_core.sled import DEFAULT_EPOCH_NS, accelerometer_samples, sled_samples
 
 
 class SledNode(TwinNode):
-    """Publishes ``/clock``, ``sled/acceleration``, ``sled/odometry`` and, where the scene has one,
+    """The sled as a node.
+
+    Publishes ``/clock``, ``sled/acceleration``, ``sled/odometry`` and, where the scene has one,
     ``sled/accelerometer``.
 
     It needs the ``scene`` before it can be configured, and starts when it is activated and its readers
@@ -28,19 +30,29 @@ class SledNode(TwinNode):
 
     def __init__(self) -> None:
         super().__init__("sled_node")
-        self._pace = self.declare("pace", "fast", "'fast' (as the physics acknowledges) or 'real' (wall clock)")
+        self._pace = self.declare(
+            "pace", "fast", "'fast' (as the physics acknowledges) or 'real' (wall clock)"
+        )
         self._window = self.declare(
             "window_samples", 96, "samples sent ahead of the physics, pace fast", from_value=1, to_value=4000
         )
         self._real_window = self.declare(
-            "window_samples_real", 2000, "samples ahead of the physics, pace real", from_value=1, to_value=4000
+            "window_samples_real",
+            2000,
+            "samples ahead of the physics, pace real",
+            from_value=1,
+            to_value=4000,
         )
         self._epoch_ns = self.declare(
             "epoch_ns", DEFAULT_EPOCH_NS, "simulated time of the first sample [ns], not 0", from_value=1,
             to_value=2**62,
         )  # fmt: skip
-        self._readers = self.declare("readers", "", "matched readers to wait for, topic=count, comma-separated")
-        self._period_s = self.declare("timer_period_s", 0.002, "how often samples leave", from_value=0.0005, to_value=0.1)
+        self._readers = self.declare(
+            "readers", "", "matched readers to wait for, topic=count, comma-separated"
+        )
+        self._period_s = self.declare(
+            "timer_period_s", 0.002, "how often samples leave", from_value=0.0005, to_value=0.1
+        )
         self._scene: Scene | None = None
         self._samples: Iterator[SledSample] | None = None
         self._sent = self._acknowledged = self._late = 0

@@ -172,7 +172,7 @@ class Supervisor:
         Each publisher waits for as many readers as the graph has for its topic.
         """
         recorded = [topic.name for topic in recorded_topics(self.scene)] if self.bag is not None else []
-        taken_down = {name: 1 for name in recorded}
+        taken_down = dict.fromkeys(recorded, 1)
         if self.bag is not None:
             yield "recorder_node", {"bag": str(self.bag.resolve()), "topics": ",".join(recorded)}
         yield "validator_node", {"readers": readers_text(_sum(taken_down, {"eumos/status": 1, "eumos/report": 1},
@@ -263,13 +263,16 @@ class Supervisor:
                 node.process.terminate()
         for node in others:
             self._stop(node, NODE_END_TIMEOUT_S)
-        self._notes = " | ".join(
-            line.split("]: ")[-1]
-            for node in self._nodes
-            if node.log.exists()
-            for line in node.log.read_text(encoding="utf-8", errors="replace").splitlines()
-            if "fell behind" in line or "never arrived" in line
-        ) or self._notes
+        self._notes = (
+            " | ".join(
+                line.split("]: ")[-1]
+                for node in self._nodes
+                if node.log.exists()
+                for line in node.log.read_text(encoding="utf-8", errors="replace").splitlines()
+                if "fell behind" in line or "never arrived" in line
+            )
+            or self._notes
+        )
         self._nodes = []
         if recorder is not None and self.bag is not None:
             self._make_whole(self.bag)

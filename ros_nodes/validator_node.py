@@ -16,13 +16,17 @@ from sim_core.run import status_due
 
 
 class ValidatorNode(TwinNode):
-    """Publishes ``eumos/status`` ten times a simulated second and ``eumos/report`` at the end; subscribes to
+    """The judge as a node.
+
+    Publishes ``eumos/status`` ten times a simulated second and ``eumos/report`` at the end; subscribes to
     ``scene``, ``packages/poses`` and ``physics/progress``.
     """
 
     def __init__(self) -> None:
         super().__init__("validator_node")
-        self._readers = self.declare("readers", "", "matched readers to wait for, topic=count, comma-separated")
+        self._readers = self.declare(
+            "readers", "", "matched readers to wait for, topic=count, comma-separated"
+        )
         self._scene: Scene | None = None
         self._judge: EumosJudge | None = None
         self._last_ns = 0

@@ -90,7 +90,9 @@ class Companion:
             companions, problem = None, f"the companion run ended with code {self._process.returncode}"
         if companions is None or problem is not None:
             return ErrorEstimate(step_s, {}, None, problem)
-        differences = {rule: abs(worst - companions[rule]) for rule, worst in worst_mm.items() if rule in companions}
+        differences = {
+            rule: abs(worst - companions[rule]) for rule, worst in worst_mm.items() if rule in companions
+        }
         return ErrorEstimate(step_s, differences, max(differences.values(), default=0.0))
 
     def cancel(self) -> None:

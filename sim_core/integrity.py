@@ -1,4 +1,4 @@
-"""The integrity check before a test: is this a load that can stand on a pallet at all?"""
+"""The integrity check before a test: whether a load can stand on its pallet at all."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -75,11 +75,6 @@ def supports(scene: Scene) -> list[Support]:
             if len(patch) >= 3 and polygon_area(patch) > 1.0e-8:
                 found.append(Support(i, below, polygon_area(patch), patch))
     return found
-
-
-def touching_surfaces(scene: Scene) -> set[frozenset[str]]:
-    """Pairs of surfaces that carry weight at the start."""
-    return {_surface_pair(scene, support) for support in supports(scene)}
 
 
 def check_integrity(scene: Scene) -> list[Finding]:
@@ -202,6 +197,7 @@ def _outside_support(package: Package, own: list[Support]) -> float:
 def _convex_hull(points: Array) -> Array:
     """Convex hull, counter-clockwise, shape [n, 2] (Andrew's monotone chain)."""
     ordered = sorted(map(tuple, np.round(points, 9).tolist()))
+
     def chain(sequence: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
         hull: list[tuple[float, ...]] = []
         for point in sequence:
@@ -211,6 +207,7 @@ def _convex_hull(points: Array) -> Array:
                 hull.pop()
             hull.append(point)
         return hull
+
     return np.array(chain(ordered)[:-1] + chain(ordered[::-1])[:-1])
 
 
@@ -262,13 +259,16 @@ def _plausibility(scene: Scene) -> list[Finding]:
         safe = material_library().pallets[scene.pallet.kind].safe_load_kg
         if total > safe:
             found.append(
-                Finding("warning", "mass", "the load", f"{total:g} kg", f"the pallet's safe load is {safe:g} kg")
+                Finding(
+                    "warning", "mass", "the load", f"{total:g} kg", f"the pallet's safe load is {safe:g} kg"
+                )
             )
     return found
 
 
 def _missing_friction(scene: Scene) -> list[Finding]:
-    missing = sorted(tuple(sorted(pair)) for pair in touching_surfaces(scene) - set(friction_table(scene)))
+    touching = {_surface_pair(scene, support) for support in supports(scene)}
+    missing = sorted(tuple(sorted(pair)) for pair in touching - set(friction_table(scene)))
     return [
         Finding("error", "friction", f"{pair[0]} on {pair[-1]}", "missing", "add the pair to surfaces.pairs")
         for pair in missing

@@ -1,9 +1,11 @@
 """The EUMOS 40509 judge: takes poses one frame at a time and can be asked for the rules at any moment."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from config.scene import Scene
 from sim_core.frames import Array, PoseFrame, RuleState
@@ -83,6 +85,8 @@ class EumosJudge:
         self._deck_m = pallet.size_m[2] if pallet is not None else 0.0
         self._layers = np.array([0] + [package.layer or 0 for package in scene.packages])
         self.frame_count = 0
+        self._layer_peak = 0.0
+        self._band_masks: list[NDArray[np.bool_]] = []
         self._times: list[float] = []
         self._band_rows: list[Array] = []
 
@@ -93,7 +97,9 @@ class EumosJudge:
             ValueError: the frame has another number of bodies than the scene.
         """
         if frame.positions.shape != self._half_sizes.shape:
-            raise ValueError(f"frame has {len(frame.positions)} poses, the scene {len(self._half_sizes)} bodies")
+            raise ValueError(
+                f"frame has {len(frame.positions)} poses, the scene {len(self._half_sizes)} bodies"
+            )
         corners = box_corners(frame.positions, frame.orientations, self._half_sizes)
         if self.frame_count == 0:
             self._begin(frame, corners)
@@ -118,10 +124,11 @@ class EumosJudge:
         self._settled, self._first = corners, frame
         self._peak = np.zeros(corners.shape[:2])
         self._peak_time = np.zeros(corners.shape[:2])
-        self._layer_peak = 0.0
         self.height_m = float(corners[:, :, 2].max())
         self._on_pallet = corners[:, :, 2] <= self._deck_m + self._limits.base_height_m + TIE_M
-        self._band_edges = np.linspace(self._deck_m, max(self.height_m, self._deck_m + 1.0e-3), BAND_COUNT + 1)
+        self._band_edges = np.linspace(
+            self._deck_m, max(self.height_m, self._deck_m + 1.0e-3), BAND_COUNT + 1
+        )
         band = np.clip(np.searchsorted(self._band_edges, corners[:, :, 2] - TIE_M) - 1, 0, BAND_COUNT - 1)
         is_package = (np.arange(len(corners)) > 0)[:, None]
         self._band_masks = [(band == k) & is_package for k in range(BAND_COUNT)]
@@ -163,7 +170,11 @@ class EumosJudge:
                 id=name,
                 peak_mm=1000.0 * float(self._peak[row].max()),
                 permanent_mm=1000.0 * float(self._now[row].max()),
-                final_displacement_mm=(float(centres[row, 0]), float(centres[row, 1]), float(centres[row, 2])),
+                final_displacement_mm=(
+                    float(centres[row, 0]),
+                    float(centres[row, 1]),
+                    float(centres[row, 2]),
+                ),
                 final_tilt_deg=float(tilts[row]),
             )
             for row, name in enumerate(self._names)
@@ -174,7 +185,11 @@ class EumosJudge:
         """Displacement by height band over time, thinned to at most ``rate_hz``, the peaks kept."""
         kept: list[int] = []
         rows = np.array(self._band_rows)
-        peaks = set(np.nanargmax(rows, axis=0).tolist()) if len(self._names) > 1 and not self._empty(rows) else set()
+        peaks = (
+            set(np.nanargmax(rows, axis=0).tolist())
+            if len(self._names) > 1 and not self._empty(rows)
+            else set()
+        )
         for i, time_s in enumerate(self._times):
             is_due = not kept or time_s - self._times[kept[-1]] >= 1.0 / rate_hz - 1.0e-9
             if is_due or i in peaks or i == len(self._times) - 1:
@@ -197,7 +212,13 @@ class EumosJudge:
         return [Moment(name, (frame.stamp_ns - self._first_ns) / 1.0e9, frame) for name, frame in named]
 
     def _corner_rule(
-        self, rule: str, title: str, displacement: Array, times: Array, limit_m: float, where: Array
+        self,
+        rule: str,
+        title: str,
+        displacement: Array,
+        times: Array,
+        limit_m: float,
+        where: NDArray[np.bool_],
     ) -> RuleState:
         masked = np.where(where, displacement, -1.0)
         row, corner = divmod(int(np.argmax(masked > masked.max() - TIE_M)), 8)
@@ -253,7 +274,9 @@ class EumosJudge:
         moved = self._newest.positions - self._first.positions
         numbers = np.unique(self._layers[self._layers > 0])
         means = [moved[self._layers == number].mean(axis=0) for number in numbers]
-        return max((float(np.linalg.norm(b - a)) for a, b in zip(means, means[1:], strict=False)), default=0.0)
+        return max(
+            (float(np.linalg.norm(b - a)) for a, b in pairwise(means)), default=0.0
+        )
 
     def _tilts_deg(self) -> Array:
         up = rotation_matrices(self._newest.orientations)[:, 2, 2]
@@ -270,4 +293,6 @@ def verdict_of(rules: list[RuleState]) -> Verdict:
 
 def corner_name(corner: int) -> str:
     """A corner in words that name the package's own axes, such as ``+x -y +z``."""
-    return " ".join(f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(CORNER_SIGNS[corner], "xyz", strict=True))
+    return " ".join(
+        f"{'+' if sign > 0 else '-'}{axis}" for sign, axis in zip(CORNER_SIGNS[corner], "xyz", strict=True)
+    )

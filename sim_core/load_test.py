@@ -52,6 +52,7 @@ class RestWatch:
     def __init__(self, radii: Array, *, within_m: float, for_s: float) -> None:
         self._radii, self._within_m, self._for_s = radii, within_m, for_s
         self._since_s: float | None = None
+        self._positions = self._orientations = np.zeros((0, 0))
         self.moved_m = 0.0
 
     def update(self, time_s: float, positions: Array, orientations: Array) -> bool:
@@ -105,44 +106,19 @@ class LoadTest:
         """Simulated time since the first frame [s]."""
         return max(0, self._frame_count - 1) / self.scene.sampling.poses_hz
 
-    def settle(self, stamp_ns: int) -> PoseFrame:
-        """Lets the load come to rest under gravity and returns it as frame 0.
-
-        Args:
-            stamp_ns: stamp of frame 0 [ns].
-
-        Raises:
-            EndedByMonitor: the load does not stand by itself, or a monitor was breached.
-        """
-        still = np.zeros(3)
-        watch = RestWatch(self._radii, within_m=SETTLED_WITHIN_M, for_s=SETTLED_FOR_S)
-        steps = 0
-        while self.scene.packages and not watch.update(steps * self._step_s, *self.engine.poses()):
-            self._step(still)
-            steps += 1
-            self._watch_motion()
-            if steps * self._step_s > SETTLE_LIMIT_S:
-                raise EndedByMonitor(
-                    "settling",
-                    f"the load moved by {1000.0 * watch.moved_m:.3f} mm within {SETTLED_FOR_S} s, after"
-                    f" {SETTLE_LIMIT_S} s at rest, limit {1000.0 * SETTLED_WITHIN_M} mm: it does not stand by itself",
-                    0.0,
-                )
-        self.settle_s = steps * self._step_s
-        self._watch_contacts()
-        return self._frame(stamp_ns)
-
     def feed(self, index: int, acceleration: Array, stamp_ns: int) -> PoseFrame | None:
-        """Takes the next sled sample; returns a frame when one is due.
+        """Settles on sample 0, and steps on every later one; returns a frame when one is due.
 
         Args:
-            index: the sample's index, from 1; they must come without a gap.
+            index: the sample's index, from 0; they must come without a gap.
             acceleration: mean acceleration over the sample's interval [m/s²], shape [3].
             stamp_ns: the sample's stamp [ns].
 
         Raises:
-            EndedByMonitor: a monitor was breached; the frames until then stand.
+            EndedByMonitor: the load does not stand by itself, or a monitor was breached; earlier frames stand.
         """
+        if index == 0:
+            return self._settle(stamp_ns)
         self._delta_velocity = self._delta_velocity + acceleration / self.scene.sampling.samples_hz
         self._samples_held += 1
         if self._samples_held == self._samples_a_feed:
@@ -160,9 +136,7 @@ class LoadTest:
         return frame
 
     def take(self, sample: SledSample) -> PoseFrame | None:
-        """Settles on sample 0, feeds every later one."""
-        if sample.index == 0:
-            return self.settle(sample.stamp_ns)
+        """Takes a sled sample of this process; see ``feed``."""
         return self.feed(sample.index, sample.acceleration, sample.stamp_ns)
 
     @property
@@ -177,6 +151,26 @@ class LoadTest:
     def close(self) -> None:
         """Frees the engine."""
         self.engine.close()
+
+    def _settle(self, stamp_ns: int) -> PoseFrame:
+        """Lets the load come to rest under gravity and returns it as frame 0."""
+        still = np.zeros(3)
+        watch = RestWatch(self._radii, within_m=SETTLED_WITHIN_M, for_s=SETTLED_FOR_S)
+        steps = 0
+        while self.scene.packages and not watch.update(steps * self._step_s, *self.engine.poses()):
+            self._step(still)
+            steps += 1
+            self._watch_motion()
+            if steps * self._step_s > SETTLE_LIMIT_S:
+                raise EndedByMonitor(
+                    "settling",
+                    f"the load moved by {1000.0 * watch.moved_m:.3f} mm within {SETTLED_FOR_S} s, after"
+                    f" {SETTLE_LIMIT_S} s at rest, limit {1000.0 * SETTLED_WITHIN_M} mm: it does not stand by itself",
+                    0.0,
+                )
+        self.settle_s = steps * self._step_s
+        self._watch_contacts()
+        return self._frame(stamp_ns)
 
     def _build_fields(self) -> PerimeterForceFields | None:
         if self.scene.force_fields is None or not self.scene.packages:
@@ -213,7 +207,9 @@ class LoadTest:
         speed = float(speeds.max())
         if not np.isfinite(speed) or not np.isfinite(self.engine.poses()[0]).all():
             row = int(np.argmin(np.isfinite(speeds)))
-            raise EndedByMonitor("finite state", f"{self._body_name(row)} has no finite pose or velocity", self.time_s)
+            raise EndedByMonitor(
+                "finite state", f"{self._body_name(row)} has no finite pose or velocity", self.time_s
+            )
         self.extremes.speed_mps = max(self.extremes.speed_mps, speed)
         if speed > MAXIMUM_SPEED_MPS:
             raise EndedByMonitor(

@@ -1,9 +1,7 @@
 """The report: one dictionary that says what was tested, what came out, how sure it is and what it cost."""
 
 import json
-import os
 import platform
-import sys
 from dataclasses import asdict
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -85,7 +83,11 @@ def _with_error(rule: dict[str, Any], estimate: ErrorEstimate) -> dict[str, Any]
     error_mm = estimate.by_rule_mm.get(rule["rule"])
     if rule["margin_mm"] is None or error_mm is None:
         return rule
-    return {**rule, "error_mm": error_mm, "state": rule["state"] if abs(rule["margin_mm"]) > error_mm else "unresolved"}
+    return {
+        **rule,
+        "error_mm": error_mm,
+        "state": rule["state"] if abs(rule["margin_mm"]) > error_mm else "unresolved",
+    }
 
 
 def _verdict_with(rules: list[dict[str, Any]], estimate: ErrorEstimate) -> Verdict:
@@ -102,7 +104,7 @@ def write_report(report: Report, path: Path) -> None:
     """Writes a report as indented JSON, whole or not at all."""
     scratch = path.with_name(path.name + ".part")
     scratch.write_text(report_json(report) + "\n", encoding="utf-8")
-    os.replace(scratch, path)
+    scratch.replace(path)
 
 
 def report_json(report: Report, *, compact: bool = False) -> str:

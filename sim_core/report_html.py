@@ -228,11 +228,8 @@ def _views(report: Report, scene: Scene) -> str:
             f"{words}, {loads[moment].time_s:.2f} s after the first frame, {names[row]} is farthest out:"
             f" {moved}."
         )
-    drawing = views_figure(
-        report,
-        scene,
-        f"Load unit from the side and from above at the worst moment and at the end. {' '.join(said)}",
-    )
+    shown = "Load unit from the side and from above at the worst moment and at the end."
+    drawing = views_figure(report, scene, safe_text(f"{shown} {' '.join(said)}"))
     outside = ""
     if drawing.outside_count:
         count = drawing.outside_count
@@ -241,8 +238,8 @@ def _views(report: Report, scene: Scene) -> str:
         '<section class="views"><h2>Where the packages went</h2>\n<figure>'
         + drawing.svg
         + f"<figcaption>{safe_text(' '.join(said))} {safe_text(outside)} The figure on a package is the"
-        " displacement of its farthest corner [mm]; brighter is farther. Thin dashes: the settled load. Ring and"
-        " cross: the farthest corner, with its way from the settled place. Seen with the travel to the"
+        " displacement of its farthest corner [mm]; brighter is farther. Thin dashes: the settled load. Ring"
+        " and cross: the farthest corner, with its way from the settled place. Seen with the travel to the"
         " right.</figcaption></figure></section>"
     )
 
@@ -262,10 +259,10 @@ def _over_time(report: Report, scene: Scene) -> str:
         ]
         label += f" Peaks by height: {', '.join(peaks)}."
     return (
-        f"<section><h2>How it went</h2>\n<figure>{time_figure(report, scene, label)}"
+        f"<section><h2>How it went</h2>\n<figure>{time_figure(report, scene, safe_text(label))}"
         "<figcaption>Above: of every height band, the corner that is farthest out at each moment. The"
-        " elastic limit holds for the peak, the permanent limit for what remains once the load rests. Below: what the sled"
-        " did, along the travel.</figcaption></figure></section>"
+        " elastic limit holds for the peak, the permanent limit for what remains once the load rests. Below:"
+        " what the sled did, along the travel.</figcaption></figure></section>"
     )
 
 
@@ -323,7 +320,7 @@ def _numerics(report: Report) -> str:
         ("Settling", f"{found['settle_s']:.3f} s until the load stood still, before the test"),
         ("Test", f"{found['simulated_s']:.2f} s simulated; at the end the load {rest}"),
         ("Computing time", f"{found['wall_time_s']:.2f} s{pace}"),
-        ("Unmet friction", "; ".join(found["unmet_friction"]) or "none: the engine takes every pair as asked"),
+        ("Unmet friction", "; ".join(found["unmet_friction"]) or "none: every pair is as asked"),
         ("Ended by a monitor", found["ended_by"] or "no"),
     ]  # fmt: skip
     rows = []

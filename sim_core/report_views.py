@@ -86,7 +86,7 @@ def views_figure(report: Report, scene: Scene, label: str) -> Drawing:
     Args:
         report: a report with moments.
         scene: its scene.
-        label: text alternative.
+        label: text alternative, already safe to stand in HTML.
     """
     from matplotlib.figure import Figure
 

@@ -16,9 +16,9 @@ def verdict_sentence(report: Report, scene: Scene) -> str:
     if numerics.get("ended_by") is not None:
         return f"No verdict: the test was {numerics['ended_by']}."
     rule = decisive_rule(report)
-    if rule is None:
+    if not report["rules"]:
         return "No verdict: no moment of the test was judged."
-    if not scene.packages:
+    if rule is None or not scene.packages:
         return "There is no package on the sled, so nothing could move out of its place."
     doubt = _doubt(report)
     if rule["limit_mm"] is None:
@@ -98,8 +98,8 @@ def corner_words(report: Report, scene: Scene, rule: dict[str, Any]) -> str:
 
 
 def limit_share(rule: dict[str, Any]) -> float | None:
-    """Worst displacement as a share of the limit; None for a rule without a limit."""
-    if rule["limit_mm"] is None or rule["worst_mm"] is None:
+    """Worst displacement as a share of the limit; None for a rule without one, and on an empty sled."""
+    if not rule["limit_mm"] or rule["worst_mm"] is None:
         return None
     return float(rule["worst_mm"] / rule["limit_mm"])
 

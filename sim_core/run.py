@@ -19,7 +19,7 @@ STATUS_HZ = 10
 class TestObserver(Protocol):
     """Something that follows a test; each call comes in the order of simulated time."""
 
-    __test__ = False
+    __test__: bool = False
 
     def on_reading(self, reading: AccelerometerSample) -> None:
         """An accelerometer reading, at or before the next sample."""

@@ -112,9 +112,13 @@ def eumos_knots(sled: EumosSled) -> tuple[Array, Array]:
     if level == 0.0:
         return np.array([0.0, sled.rise_s + sled.plateau_s]), np.zeros(2)
     braking = sled.deceleration_g * GRAVITY
-    braking_s = (level * (0.5 * sled.rise_s + sled.plateau_s) + 0.5 * (level - braking) * sled.fall_s) / braking
+    braking_s = (
+        level * (0.5 * sled.rise_s + sled.plateau_s) + 0.5 * (level - braking) * sled.fall_s
+    ) / braking
     if braking_s < 0.0:
-        raise RefusedInput("sled.fall_s", sled.fall_s, "shorter: the sled would roll backwards before it brakes")
+        raise RefusedInput(
+            "sled.fall_s", sled.fall_s, "shorter: the sled would roll backwards before it brakes"
+        )
     durations = [0.0, sled.rise_s, sled.plateau_s, sled.fall_s, braking_s, 0.0]
     return np.cumsum(durations), np.array([0.0, level, level, -braking, -braking, 0.0])
 

@@ -32,8 +32,14 @@ class RigidEngine(Protocol):
     """Rigid boxes on a sled, in frame ``sled``; row 0 of every array is the pallet."""
 
     name: str
-    settings: Mapping[str, object]
-    unmet_friction: Sequence[UnmetPair]
+
+    @property
+    def settings(self) -> Mapping[str, object]:
+        """Settings as read back from the engine, where it tells them."""
+
+    @property
+    def unmet_friction(self) -> Sequence[UnmetPair]:
+        """Pairs of surfaces whose friction the engine cannot represent."""
 
     def step(self, delta_velocity: Array, forces: Array | None) -> None:
         """Advances by one step.

@@ -2,19 +2,19 @@
 
 import os
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from config.scene import Scene
-from config.scene_file import friction_table
 from sim_core.engines import ContactState
 from sim_core.frames import GRAVITY, Array
 from sim_core.friction import friction_factors
 from sim_core.geometry import yaw_quaternion
-from sim_core.integrity import touching_surfaces
+from sim_core.rigid_model import RigidBox, build_rigid_model, with_sheets
 
 
-def _import_pybullet():  # type: ignore[no-untyped-def]
+def _import_pybullet() -> Any:
     # The module greets with its build time on standard error, which belongs to our own messages.
     kept = os.dup(2)
     sink = os.open(os.devnull, os.O_WRONLY)
@@ -31,9 +31,8 @@ def _import_pybullet():  # type: ignore[no-untyped-def]
 p = _import_pybullet()
 
 Triple = tuple[float, float, float]
-Quadruple = tuple[float, float, float, float]
 
-SLED_HALF_SIZE_M = (10.0, 10.0, 0.5)
+SLED_SIZE_M = (20.0, 20.0, 1.0)
 
 
 class BulletEngine:
@@ -52,13 +51,15 @@ class BulletEngine:
         self._step_s = scene.time_step_s
         self._client = p.connect(p.DIRECT)
         self._configure(scene)
-        self._friction = friction_factors(friction_table(scene), touching=touching_surfaces(scene))
+        self._model = build_rigid_model(scene)
+        self._friction = friction_factors(self._model.friction, touching=self._model.touching)
         self.unmet_friction = self._friction.unmet
         self._names: dict[int, str] = {}
         self._edges: dict[int, float] = {}
-        self._bodies = self._build(scene)
+        self._build(scene)
+        self._start = self._starting_poses(scene)
         self._last_islands: object = ()
-        self._state: tuple[list[Triple], list[Quadruple]] | None = None
+        self._state: tuple[Array, Array] | None = None
 
     def _configure(self, scene: Scene) -> None:
         wanted = {
@@ -82,57 +83,66 @@ class BulletEngine:
             "body": "btMultiBody",
         }
 
-    def _build(self, scene: Scene) -> list[int | None]:
+    def _build(self, scene: Scene) -> None:
         factors = self._friction.factors
-        ground = self._add_box("sled", (*SLED_HALF_SIZE_M,), 0.0, (0.0, 0.0, -SLED_HALF_SIZE_M[2]), 0.0,
-                               factors.get("sled", 1.0))  # fmt: skip
-        self._ground = {ground}
-        bodies: list[int | None] = [None] * (len(scene.packages) + 1)
-        pallet = scene.pallet_box
-        if pallet is not None:
-            half = tuple(edge / 2.0 for edge in pallet.size_m)
-            bodies[0] = self._add_box(
-                "pallet", half, 0.0 if pallet.fixed else pallet.mass_kg, (0.0, 0.0, half[2]), 0.0,
-                factors.get(pallet.surface, 1.0),
-            )  # fmt: skip
-            if pallet.fixed:
-                self._ground.add(bodies[0])
-        self._still_pallet: Triple = (0.0, 0.0, pallet.size_m[2] / 2.0 if pallet is not None else 0.0)
-        self._pallet_moves = pallet is not None and not pallet.fixed
+        sled = RigidBox("sled", SLED_SIZE_M, 0.0, (0.0, 0.0, -SLED_SIZE_M[2] / 2.0), 0.0, "sled")
+        self._ground = {self._add_box(sled, factors)}
+        boxes = self._model.boxes
+        bodies: list[int | None] = [None] * len(boxes)
         order = sorted(
-            range(len(scene.packages)), key=lambda i: (scene.packages[i].position_m[::-1], scene.packages[i].id)
+            (row for row, box in enumerate(boxes) if box is not None),
+            key=lambda row: (row > 0, scene.packages[row - 1].position_m[::-1] if row else (), row),
         )
-        for index in order:
-            package = scene.packages[index]
-            bodies[index + 1] = self._add_box(
-                package.id, tuple(edge / 2.0 for edge in package.size_m), package.mass_kg, package.position_m,
-                package.yaw_deg, factors.get(package.surface, 1.0),
-            )  # fmt: skip
-        self._moving = bodies[0 if self._pallet_moves else 1 :]
-        return bodies
+        for row in order:
+            box = boxes[row]
+            assert box is not None
+            bodies[row] = self._add_box(box, factors)
+        pallet = boxes[0]
+        self._still_pallet: Triple = pallet.position_m if pallet is not None else (0.0, 0.0, 0.0)
+        self._pallet_moves = pallet is not None and pallet.mass_kg > 0.0
+        if bodies[0] is not None and not self._pallet_moves:
+            self._ground.add(bodies[0])
+        self._moving = [
+            (row, body)
+            for row, body in enumerate(bodies)
+            if body is not None and (row > 0 or self._pallet_moves)
+        ]
 
-    def _add_box(
-        self,
-        name: str,
-        half_size: tuple[float, ...],
-        mass: float,
-        position: tuple[float, ...],
-        yaw_deg: float,
-        friction: float,
-    ) -> int:
-        shape = p.createCollisionShape(p.GEOM_BOX, halfExtents=half_size, physicsClientId=self._client)
+    def _starting_poses(self, scene: Scene) -> tuple[Array, Array]:
+        positions = np.array([self._still_pallet, *(package.position_m for package in scene.packages)])
+        turns = [yaw_quaternion(package.yaw_deg) for package in scene.packages]
+        return positions, np.array([(0.0, 0.0, 0.0, 1.0), *turns])
+
+    def _add_box(self, box: RigidBox, factors: Mapping[str, float]) -> int:
+        length, width, height = box.size_m
+        shape = p.createCollisionShape(
+            p.GEOM_BOX,
+            halfExtents=(length / 2.0, width / 2.0, (height + box.sheet_m) / 2.0),
+            collisionFramePosition=(0.0, 0.0, box.sheet_m / 2.0),
+            physicsClientId=self._client,
+        )
         body = int(
             p.createMultiBody(
-                mass, shape, -1, position, yaw_quaternion(yaw_deg), physicsClientId=self._client
+                box.mass_kg,
+                shape,
+                -1,
+                box.position_m,
+                yaw_quaternion(box.yaw_deg),
+                physicsClientId=self._client,
             )
         )
+        inertia = [
+            box.mass_kg * (a * a + b * b) / 12.0
+            for a, b in ((width, height), (length, height), (length, width))
+        ]
         # Bullet damps every btMultiBody by 4 % unless told otherwise.
         p.changeDynamics(
-            body, -1, lateralFriction=friction, restitution=0.0, linearDamping=0.0, angularDamping=0.0,
-            rollingFriction=0.0, spinningFriction=0.0, physicsClientId=self._client,
+            body, -1, lateralFriction=factors.get(box.face, 1.0), restitution=0.0, linearDamping=0.0,
+            angularDamping=0.0, rollingFriction=0.0, spinningFriction=0.0,
+            physicsClientId=self._client, **({"localInertiaDiagonal": inertia} if box.mass_kg > 0.0 else {}),
         )  # fmt: skip
-        self._names[body] = name
-        self._edges[body] = 2.0 * min(half_size)
+        self._names[body] = box.name
+        self._edges[body] = min(box.size_m)
         return body
 
     def step(self, delta_velocity: Array, forces: Array | None) -> None:
@@ -140,35 +150,33 @@ class BulletEngine:
         x, y, z = (-delta_velocity / self._step_s).tolist()
         p.setGravity(x, y, z - GRAVITY, physicsClientId=self._client)
         if forces is not None:
-            positions = self._read_state()[0]
-            for body, force, position in zip(self._bodies, forces.tolist(), positions, strict=True):
-                if body is not None and any(force):
-                    p.applyExternalForce(body, -1, force, position, p.WORLD_FRAME, physicsClientId=self._client)
+            positions = self.poses()[0].tolist()
+            for row, body in self._moving:
+                force = forces[row].tolist()
+                if any(force):
+                    p.applyExternalForce(
+                        body, -1, force, positions[row], p.WORLD_FRAME, physicsClientId=self._client
+                    )
         self._state = None
         self._last_islands = p.stepSimulation(physicsClientId=self._client)
 
     def poses(self) -> tuple[Array, Array]:
         """See ``RigidEngine.poses``."""
-        positions, orientations = self._read_state()
-        return np.array(positions), np.array(orientations)
-
-    def _read_state(self) -> tuple[list[Triple], list[Quadruple]]:
         if self._state is None:
-            positions, orientations = [self._still_pallet], [(0.0, 0.0, 0.0, 1.0)]
-            for body in self._moving:
-                position, orientation = p.getBasePositionAndOrientation(body, physicsClientId=self._client)
-                positions.append(position)
-                orientations.append(orientation)
-            first = 1 if self._pallet_moves else 0
-            self._state = positions[first:], orientations[first:]
+            positions, orientations = self._start[0].copy(), self._start[1].copy()
+            for row, body in self._moving:
+                positions[row], orientations[row] = p.getBasePositionAndOrientation(
+                    body, physicsClientId=self._client
+                )
+            self._state = with_sheets(self._model, positions, at_rest=self._start[0]), orientations
         return self._state
 
     def velocities(self) -> tuple[Array, Array]:
         """See ``RigidEngine.velocities``."""
-        pairs = [] if self._pallet_moves else [((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))]
-        pairs += [p.getBaseVelocity(body, physicsClientId=self._client) for body in self._moving]
-        both = np.array(pairs)
-        return both[:, 0], both[:, 1]
+        linear, angular = np.zeros_like(self._start[0]), np.zeros_like(self._start[0])
+        for row, body in self._moving:
+            linear[row], angular[row] = p.getBaseVelocity(body, physicsClientId=self._client)
+        return with_sheets(self._model, linear), angular
 
     def contacts(self) -> ContactState:
         """See ``RigidEngine.contacts``."""

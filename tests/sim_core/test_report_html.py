@@ -29,10 +29,12 @@ from sim_core.report_words import corner_words, figure_text, verdict_sentence
 from sim_core.run import PhysicsSummary
 
 VOID_TAGS = {"meta", "br"}
-ALLOWED_TAGS = set(
-    "html head meta title style body main header section footer h1 h2 p div span strong dl dt dd table thead tbody"
-    " tr th td figure figcaption details summary ul li svg g path use defs text clippath rect".split()
-)
+ALLOWED_TAGS = {
+    "html", "head", "meta", "title", "style", "body", "main", "header", "section", "footer", "h1", "h2",
+    "p", "div", "span", "strong", "dl", "dt", "dd", "table", "thead", "tbody", "tr", "th", "td",
+    "figure", "figcaption",
+    "details", "summary", "ul", "li", "svg", "g", "path", "use", "defs", "text", "clippath", "rect",
+}  # fmt: skip
 
 
 class PageCheck(HTMLParser):
@@ -130,8 +132,10 @@ def report_of(
     findings: list[Finding] | None = None,
     **changes: Any,
 ) -> dict[str, Any]:
+    judge = judged(scene, shifts_m)
     return full_report(
-        scene, judged(scene, shifts_m), physics=physics(**changes), findings=findings or [], estimate=estimate,
+        judgement(scene, judge, is_complete="ended_by" not in changes), scene,
+        physics=physics(**changes), findings=findings or [], estimate=estimate,
         wall_s=2.0, mode="run",
     )  # fmt: skip
 
@@ -143,7 +147,8 @@ def estimate_of(error_mm: float) -> ErrorEstimate:
 
 
 def test_a_pass_names_the_rule_that_comes_closest() -> None:
-    # Height 0.144 + 3 · 0.25 = 0.894 m: elastic limit 89.4 mm, permanent 44.7 mm. 60 mm out is 67 %, 10 mm back 22 %.
+    # Height 0.144 + 3 · 0.25 = 0.894 m: elastic limit 89.4 mm, permanent 44.7 mm.
+    # 60 mm at the peak is 67 % of the one, 10 mm at the end 22 % of the other.
     scene = stack(3)
     report = report_of(scene, [(-0.06, 0.0, 0.0), (-0.01, 0.0, 0.0)], estimate=estimate_of(0.5))
     page = PageCheck(report_html(report, scene))
@@ -202,7 +207,8 @@ def test_a_monitor_ended_the_test() -> None:
 def test_a_test_that_ended_before_its_first_frame() -> None:
     scene = stack(3)
     report = full_report(
-        scene, EumosJudge(scene), physics=physics(ended_by="ended by monitor 'settling' at 0 s: it leans"),
+        judgement(scene, EumosJudge(scene), is_complete=False), scene,
+        physics=physics(ended_by="ended by monitor 'settling' at 0 s: it leans"),
         findings=[], estimate=None, wall_s=0.0, mode="up fast",
     )  # fmt: skip
     text = PageCheck(report_html(report, scene)).text
@@ -301,7 +307,7 @@ def test_figures_are_valid_svg_with_unique_ids() -> None:
     for figure in figures:
         ElementTree.fromstring(figure)
         assert "#0101" not in figure and "#0102" not in figure
-    assert "http" not in re.sub(r'xmlns:xlink="[^"]*"', "", page)
+    assert "://" not in re.sub(r'xmlns:xlink="[^"]*"', "", page)
 
 
 def test_only_the_worst_ten_packages_stand_open() -> None:
@@ -352,7 +358,7 @@ texts = st.text(min_size=1, max_size=30) | st.sampled_from(
 )
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(
     ids=st.lists(texts.filter(lambda name: name != "pallet"), min_size=1, max_size=3, unique=True),
     words=texts,

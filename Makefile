@@ -1,0 +1,42 @@
+# Everything runs in .venv, which the first target that needs it creates.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+
+.PHONY: help setup setup-dev demo test lint clean
+
+help:
+	@echo "make demo   run one EUMOS test of a palletised load: verdict, report, recording"
+	@echo "make test   set up the tools and run every test"
+	@echo "make lint   ruff, mypy and the import contract"
+	@echo "make clean  remove .venv and caches; runs/ stays"
+
+setup: $(VENV)/.main
+
+# The wheels of ROS 2 Jazzy exist for CPython 3.11 and 3.12 only.
+$(VENV)/.main: pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; v = sys.version_info[:2]; sys.exit(0 if v in ((3, 11), (3, 12)) else "Python %d.%d: 3.11 or 3.12 is needed; set PYTHON=python3.11" % v)'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .
+	touch $@
+
+setup-dev: $(VENV)/.dev
+
+$(VENV)/.dev: $(VENV)/.main
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	touch $@
+
+demo: setup
+	$(BIN)/pallet-twin run eur_fields_05g
+
+test: setup-dev
+	$(BIN)/python -m pytest -n 2
+
+lint: setup-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-cache
+
+clean:
+	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info
