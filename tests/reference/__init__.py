@@ -1,0 +1,1 @@
+"""Closed forms and independent solutions that the physics is held against."""
