@@ -68,3 +68,12 @@ class NodeDied(PalletTwinError):
         self.node = node
         self.reason = reason
         super().__init__(f"{node} died: {reason}")
+
+
+class Interrupted(PalletTwinError):
+    """A user's Ctrl-C, or a request to terminate."""
+
+    exit_code = 130
+
+    def __init__(self) -> None:
+        super().__init__("interrupted; what was recorded until now is whole")

@@ -19,7 +19,8 @@ Fraction = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
 class Part(BaseModel):
     """Base of every scene part: unknown keys are refused, values don't change."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    # A bounded text is also checked to be Unicode: half of a surrogate pair could not be written again.
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, str_max_length=10_000)
 
 
 class PatternSource(Part):

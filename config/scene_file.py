@@ -33,8 +33,11 @@ def find_scene(name_or_path: str) -> Path:
         RefusedInput: neither exists.
     """
     path = Path(name_or_path)
-    if path.exists():
-        return path
+    try:
+        if path.exists():
+            return path
+    except OSError as error:
+        raise RefusedInput("scene", name_or_path, error.strerror or "cannot be read") from None
     shipped = Path(str(files("config").joinpath("scenes", f"{name_or_path}.json")))
     if name_or_path in shipped_scenes():
         return shipped
@@ -192,7 +195,7 @@ def _apply_override(raw: dict[str, Any], override: str) -> None:
         raise RefusedInput("--set", override, "must be KEY=VALUE, such as sled.level_g=0.6")
     try:
         value = json.loads(text)
-    except json.JSONDecodeError:
+    except (ValueError, RecursionError):
         value = text
     if isinstance(value, float) and not math.isfinite(value):
         raise RefusedInput(key, text, "must be a finite number")
@@ -201,10 +204,10 @@ def _apply_override(raw: dict[str, Any], override: str) -> None:
     for depth, part in enumerate(parents):
         if isinstance(node, list):
             node = node[_list_index(node, part, key)]
-            continue
-        if node.get(part) is None:
-            node[part] = {}
-        node = node[part]
+        else:
+            if node.get(part) is None:
+                node[part] = {}
+            node = node[part]
         if not isinstance(node, (dict, list)):
             raise RefusedInput(
                 "--set", override, f"{'.'.join(parents[: depth + 1])} holds a value, not a part"

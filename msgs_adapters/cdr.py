@@ -53,12 +53,16 @@ def write_string(payload: bytearray, text: str) -> None:
 def serialize(message: Any) -> bytes:
     """CDR bytes of any rosidl message without wide strings: those of rclpy, with every padding byte zero.
 
+    The length is a multiple of four.
+
     Raises:
         NotImplementedError: the message holds a wide string.
     """
     payload = bytearray(ENCAPSULATION)
     message_type: Any = type(message)
     _message_writer(message_type)(payload, message)
+    # RTPS rounds every payload up to four bytes on its way; doing it here keeps sent and recorded bytes equal.
+    align(payload, 4)
     return bytes(payload)
 
 

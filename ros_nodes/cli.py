@@ -1,13 +1,14 @@
 """The command line: ``pallet-twin``."""
 
 import json
+import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from config.errors import PalletTwinError
+from config.errors import Interrupted, PalletTwinError
 from ros_nodes import output
 
 app = typer.Typer(
@@ -183,16 +184,22 @@ def _options(version: Annotated[bool, typer.Option("--version", help="Print the 
         raise typer.Exit
 
 
+def _interrupt(_number: int, _frame: object) -> None:
+    """Ends the command in order; a second signal doesn't disturb what is being made safe."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    raise Interrupted
+
+
 def main() -> None:
     """Runs the command line; every error of the family becomes one line and one exit code, here."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _interrupt)
     try:
         app()
     except PalletTwinError as error:
         print(f"pallet-twin: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        print("pallet-twin: interrupted; what was recorded until now is whole", file=sys.stderr)
-        sys.exit(130)
 
 
 if __name__ == "__main__":

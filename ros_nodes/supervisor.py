@@ -108,7 +108,7 @@ class Supervisor:
 
         Raises:
             NodeDied: a node ended before the test did; the bag until then is whole.
-            KeyboardInterrupt: the user stopped it; the bag until then is whole.
+            Interrupted: the user stopped it; the bag until then is whole.
         """
         import rclpy
 
@@ -120,10 +120,10 @@ class Supervisor:
                 self._bring_up()
                 self._follow()
                 wall_s = time.monotonic() - self._began
-                self._end()
+                self._end(in_order=True)
                 return self._result(wall_s)
             finally:
-                self._end()
+                self._end(in_order=False)
                 self._node.destroy_node()
                 rclpy.try_shutdown()
 
@@ -252,15 +252,22 @@ class Supervisor:
                 raise _Refused(node.last_words())
             raise NodeDied(node.name, f"{node.ending()}: {node.last_words()}")
 
-    def _end(self) -> None:
-        """Ends every node: the recorder first, once what is on its way has arrived."""
+    def _end(self, *, in_order: bool) -> None:
+        """Ends every node that still runs.
+
+        Args:
+            in_order: everything has been sent; the recorder ends first, once what is on its way has arrived.
+                Otherwise the others are killed at once, as they hold nothing, and the recorder saves the rest.
+        """
         recorder = next((node for node in self._nodes if node.name == "recorder_node"), None)
+        others = [node for node in self._nodes if node is not recorder]
+        if not in_order:
+            for node in others:
+                node.process.kill()
         if recorder is not None:
             self._stop(recorder, RECORDER_END_TIMEOUT_S)
-        others = [node for node in self._nodes if node is not recorder]
         for node in others:
-            if node.process.poll() is None:
-                node.process.terminate()
+            node.process.terminate()
         for node in others:
             self._stop(node, NODE_END_TIMEOUT_S)
         self._notes = (

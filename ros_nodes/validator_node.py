@@ -32,6 +32,7 @@ class ValidatorNode(TwinNode):
         self._last_ns = 0
         self._frames_at_end: int | None = None
         self._is_complete = True
+        self._status_sent = False
 
     def on_configure(self, state: LifecycleState) -> Any:
         """Opens the topics; the judge is made when the scene arrives."""
@@ -66,10 +67,10 @@ class ValidatorNode(TwinNode):
         frame = pose_frame_from_payload(payload, self._judge.frame_count)
         self._judge.add(frame)
         self._last_ns = frame.stamp_ns
-        is_last = self._frames_at_end == self._judge.frame_count
-        if status_due(frame, self._scene) and not is_last:
+        self._status_sent = status_due(frame, self._scene)
+        if self._status_sent:
             self._send_status()
-        if is_last:
+        if self._frames_at_end == self._judge.frame_count:
             self._send_report()
 
     def _take_progress(self, message: Any) -> None:
@@ -87,7 +88,7 @@ class ValidatorNode(TwinNode):
 
     def _send_report(self) -> None:
         assert self._judge is not None and self._scene is not None
-        if self._judge.frame_count:
+        if self._is_complete and not self._status_sent:
             self._send_status()
         report = judgement(self._scene, self._judge, is_complete=self._is_complete)
         self.send(report_publication(self._last_ns, report_json(report, compact=True)))

@@ -9,7 +9,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from config.errors import EndedByMonitor, PalletTwinError
 from config.scene import Scene
@@ -28,12 +28,14 @@ class ErrorEstimate:
         by_rule_mm: difference of each rule's worst displacement [mm], by rule name.
         largest_mm: the largest of them [mm].
         problem: why there is no estimate, or None.
+        worst_until_problem_mm: the companion's worst displacement by rule until then [mm].
     """
 
     companion_step_s: float
     by_rule_mm: dict[str, float]
     largest_mm: float | None
     problem: str | None = None
+    worst_until_problem_mm: Mapping[str, float] = field(default_factory=dict)
 
 
 def companion_scene(scene: Scene) -> Scene:
@@ -84,12 +86,15 @@ class Companion:
         self._process.wait()
         step_s = self._scene.time_step_s
         try:
-            companions: dict[str, float] | None = json.loads(answer)["worst_mm"]
-            problem: str | None = json.loads(answer)["problem"]
-        except (json.JSONDecodeError, KeyError):
-            companions, problem = None, f"the companion run ended with code {self._process.returncode}"
-        if companions is None or problem is not None:
-            return ErrorEstimate(step_s, {}, None, problem)
+            companion = json.loads(answer)
+        except json.JSONDecodeError:
+            companion = {
+                "worst_mm": {},
+                "problem": f"the companion run ended with code {self._process.returncode}",
+            }
+        companions: dict[str, float] = companion["worst_mm"]
+        if companion["problem"] is not None:
+            return ErrorEstimate(step_s, {}, None, companion["problem"], companions)
         differences = {
             rule: abs(worst - companions[rule]) for rule, worst in worst_mm.items() if rule in companions
         }
@@ -103,6 +108,7 @@ class Companion:
 
 def _answer(scene: Scene) -> dict[str, object]:
     test, judge = LoadTest(scene), EumosJudge(scene)
+    problem = None
     try:
         for sample in sled_samples(scene):
             frame = test.take(sample)
@@ -111,11 +117,11 @@ def _answer(scene: Scene) -> dict[str, object]:
             if test.finished:
                 break
     except EndedByMonitor as error:
-        return {"worst_mm": None, "problem": f"at a step of {scene.time_step_s:.3g} s: {error}"}
+        problem = f"at a step of {1000.0 * scene.time_step_s:.3g} ms: {error}"
     finally:
         test.close()
-    worst = {rule.rule: rule.worst_mm for rule in judge.rules() if rule.worst_mm is not None}
-    return {"worst_mm": worst, "problem": None}
+    rules = judge.rules() if judge.frame_count else []
+    return {"worst_mm": {r.rule: r.worst_mm for r in rules if r.worst_mm is not None}, "problem": problem}
 
 
 def main() -> None:
@@ -123,7 +129,7 @@ def main() -> None:
     try:
         answer = _answer(scene_from_json(sys.stdin.read()))
     except PalletTwinError as error:
-        answer = {"worst_mm": None, "problem": str(error)}
+        answer = {"worst_mm": {}, "problem": str(error)}
     print(json.dumps(answer))
 
 

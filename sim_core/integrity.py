@@ -12,6 +12,7 @@ from config.scene import Scene, StandardPallet
 from config.scene_file import friction_table
 from sim_core.frames import Array
 from sim_core.geometry import clip_convex, footprint, height_span, overlap_depth, polygon_area
+from sim_core.sled import build_profile
 
 OVERLAP_LIMIT_M = 1.0e-3
 TOUCH_M = 2.0e-3
@@ -78,7 +79,12 @@ def supports(scene: Scene) -> list[Support]:
 
 
 def check_integrity(scene: Scene) -> list[Finding]:
-    """Everything that is wrong or remarkable about a resolved scene's load, errors first."""
+    """Everything that is wrong or remarkable about a resolved scene's load, errors first.
+
+    Raises:
+        RefusedInput: the sled's profile cannot be built, so there is nothing to test the load with.
+    """
+    build_profile(scene)
     findings = [
         *_overlaps(scene),
         *_supports(scene),
@@ -123,7 +129,7 @@ def deepest_overlaps(packages: tuple[Package, ...]) -> list[tuple[float, Package
 
 def _overlaps(scene: Scene) -> list[Finding]:
     found: list[Finding] = []
-    pairs = deepest_overlaps(scene.packages)
+    pairs = deepest_overlaps((*_pallet_as_package(scene), *scene.packages))
     for depth, first, second in pairs:
         if depth > OVERLAP_LIMIT_M:
             found.append(
@@ -137,6 +143,14 @@ def _overlaps(scene: Scene) -> list[Finding]:
                     "pushed apart while the load settles")
         )  # fmt: skip
     return found
+
+
+def _pallet_as_package(scene: Scene) -> tuple[Package, ...]:
+    pallet = scene.pallet_box
+    if pallet is None:
+        return ()
+    middle = (0.0, 0.0, pallet.size_m[2] / 2.0)
+    return (Package(id="pallet", size_m=pallet.size_m, mass_kg=pallet.mass_kg, position_m=middle),)
 
 
 def _supports(scene: Scene) -> list[Finding]:
@@ -242,7 +256,7 @@ def _pallet_bounds(scene: Scene) -> list[Finding]:
 def _plausibility(scene: Scene) -> list[Finding]:
     found: list[Finding] = []
     for package in scene.packages:
-        density = package.mass_kg / float(np.prod(package.size_m))
+        density = package.mass_kg / max(float(np.prod(package.size_m)), 1.0e-30)
         if not DENSITY_RANGE[0] <= density <= DENSITY_RANGE[1]:
             found.append(
                 Finding("warning", "density", package.id, f"{density:.3g} kg/m³",

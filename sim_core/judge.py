@@ -185,26 +185,18 @@ class EumosJudge:
         """Displacement by height band over time, thinned to at most ``rate_hz``, the peaks kept."""
         kept: list[int] = []
         rows = np.array(self._band_rows)
-        peaks = (
-            set(np.nanargmax(rows, axis=0).tolist())
-            if len(self._names) > 1 and not self._empty(rows)
-            else set()
-        )
+        filled = [k for k in range(BAND_COUNT) if self._band_masks[k].any()]
+        peaks = set(rows[:, filled].argmax(axis=0).tolist())
         for i, time_s in enumerate(self._times):
             is_due = not kept or time_s - self._times[kept[-1]] >= 1.0 / rate_hz - 1.0e-9
             if is_due or i in peaks or i == len(self._times) - 1:
                 kept.append(i)
-        filled = [k for k in range(BAND_COUNT) if self._band_masks[k].any()]
         return Series(
             times_s=[self._times[i] for i in kept],
             band_edges_m=self._band_edges.tolist(),
             displacement_mm=[[1000.0 * float(rows[i, k]) for i in kept] for k in filled],
             bands=filled,
         )
-
-    @staticmethod
-    def _empty(rows: Array) -> bool:
-        return bool(np.isnan(rows).all(axis=0).any())
 
     def moments(self) -> list[Moment]:
         """The settled load, the moment of the largest displacement of any corner, and the newest frame."""
@@ -274,9 +266,7 @@ class EumosJudge:
         moved = self._newest.positions - self._first.positions
         numbers = np.unique(self._layers[self._layers > 0])
         means = [moved[self._layers == number].mean(axis=0) for number in numbers]
-        return max(
-            (float(np.linalg.norm(b - a)) for a, b in pairwise(means)), default=0.0
-        )
+        return max((float(np.linalg.norm(b - a)) for a, b in pairwise(means)), default=0.0)
 
     def _tilts_deg(self) -> Array:
         up = rotation_matrices(self._newest.orientations)[:, 2, 2]

@@ -91,10 +91,16 @@ def _with_error(rule: dict[str, Any], estimate: ErrorEstimate) -> dict[str, Any]
 
 
 def _verdict_with(rules: list[dict[str, Any]], estimate: ErrorEstimate) -> Verdict:
-    """One rule that fails beyond its error settles the verdict; without an estimate nothing is settled."""
-    states = {rule["state"] for rule in rules}
+    """One rule that fails beyond its error settles the verdict.
+
+    Without an estimate nothing is settled, but for one case: a companion that was ended early, and had
+    broken the same limit on the elastic peak by then. A peak doesn't come down again.
+    """
     if estimate.largest_mm is None:
-        return "unresolved"
+        elastic = next(rule for rule in rules if rule["rule"] == "elastic")
+        companions_mm = estimate.worst_until_problem_mm.get("elastic", 0.0)
+        return "fail" if elastic["state"] == "fail" and companions_mm > elastic["limit_mm"] else "unresolved"
+    states = {rule["state"] for rule in rules}
     if "fail" in states:
         return "fail"
     return "unresolved" if "unresolved" in states else "pass"

@@ -28,6 +28,7 @@ def assert_is_rclpys_but_for_padding(payload: bytes, message: Any) -> None:
     rclpy takes an empty sequence of doubles for eight bytes longer than it is, and appends so much.
     """
     theirs = bytearray(serialize_message(message))
+    theirs.extend(bytes(-len(theirs) % 4))
     assert len(payload) <= len(theirs)
     ours = payload.ljust(len(theirs), b"\0")
     for position in [i for i, (a, b) in enumerate(zip(ours, theirs, strict=True)) if a != b]:
@@ -39,7 +40,8 @@ def assert_is_rclpys_but_for_padding(payload: bytes, message: Any) -> None:
 
 def rosbags_encoding(payload: bytes, type_name: str) -> bytes:
     decoded = TYPESTORE.deserialize_cdr(payload, type_name)
-    return bytes(TYPESTORE.serialize_cdr(decoded, type_name))
+    encoded = bytes(TYPESTORE.serialize_cdr(decoded, type_name))
+    return encoded.ljust(len(encoded) + -len(encoded) % 4, b"\0")
 
 
 def header(frame: str) -> Header:

@@ -22,7 +22,9 @@ def test_block_slides_as_far_as_the_closed_form_says() -> None:
     assert abs(moved[1]) < 0.1
 
 
-@pytest.mark.parametrize(("direction", "axis", "sign"), [("+x", 0, -1), ("-x", 0, 1), ("+y", 1, -1), ("-y", 1, 1)])
+@pytest.mark.parametrize(
+    ("direction", "axis", "sign"), [("+x", 0, -1), ("-x", 0, 1), ("+y", 1, -1), ("-y", 1, 1)]
+)
 def test_slip_points_against_the_sled(direction: str, axis: int, sign: int) -> None:
     moved = packages_of(run_shipped("block_slip", f"sled.direction={direction}").judge)["block"]
     slip_mm = 1000.0 * trapezoid_slip_m(0.5, 0.05, 0.5, 0.3)
@@ -89,7 +91,9 @@ def test_slab_slip_converges_with_second_order(expected_slips: np.ndarray) -> No
     expected = expected_slips
     errors = [
         np.abs(
-            slab_slips_at(1.2, f"solver.time_step_s={1 / rate!r}", "solver.iterations=100", "sampling.poses_hz=120")[0]
+            slab_slips_at(
+                1.2, f"solver.time_step_s={1 / rate!r}", "solver.iterations=100", "sampling.poses_hz=120"
+            )[0]
             - expected
         ).max()
         for rate in (120, 240)
@@ -110,7 +114,11 @@ def test_columns_tip_above_their_aspect_ratio() -> None:
     # Columns 0.3 m deep and 1.25 m high tip at 0.24 g whatever the friction: the load of eur_columns at 0.3 g.
     result = run_shipped("eur_columns")
     assert result.judge.verdict() == "fail"
-    assert {rule.rule for rule in result.judge.rules() if rule.state == "fail"} >= {"permanent", "elastic", "damage"}
+    assert {rule.rule for rule in result.judge.rules() if rule.state == "fail"} >= {
+        "permanent",
+        "elastic",
+        "damage",
+    }
 
 
 def test_empty_pallet_passes() -> None:
