@@ -11,7 +11,9 @@ from config.scene_file import resolve_scene, validate_scene
 DECK_M = 0.144
 
 
-def _box(name: str, *, x: float = 0.0, y: float = 0.0, bottom: float = DECK_M, **other: Any) -> dict[str, Any]:
+def _box(
+    name: str, *, x: float = 0.0, y: float = 0.0, bottom: float = DECK_M, **other: Any
+) -> dict[str, Any]:
     size = other.pop("size", (0.4, 0.3, 0.25))
     return {
         "id": name,

@@ -1,7 +1,7 @@
 """Pair frictions as products of factors: exact where they can be, named where they cannot."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from itertools import combinations_with_replacement
 
 import pytest
@@ -12,7 +12,6 @@ from config.scene_file import find_scene, friction_table, read_scene
 from sim_core.friction import FrictionFactors, friction_factors
 
 Table = dict[frozenset[str], float]
-Products = Callable[[FrictionFactors, frozenset[str]], float]
 # Logarithms of μ from 1e-2 to 1e1 are below 5; solved with weights 1 and 1e-3 they keep 1e-16 · 5 · 1e3.
 SOLVED = 1.0e-9
 
@@ -22,7 +21,9 @@ def product(found: FrictionFactors, pair: frozenset[str]) -> float:
     return found.factors[first] * found.factors[second]
 
 
-def assert_met(table: Mapping[frozenset[str], float], touching: frozenset[frozenset[str]] = frozenset()) -> None:
+def assert_met(
+    table: Mapping[frozenset[str], float], touching: frozenset[frozenset[str]] = frozenset()
+) -> None:
     found = friction_factors(table, touching=touching)
     assert found.unmet == ()
     for pair, friction in table.items():

@@ -76,7 +76,11 @@ def test_corner_numbers_are_bits() -> None:
 
 
 @settings(max_examples=60, deadline=None)
-@given(quaternion=unit_quaternions(), centre=st.tuples(places, places, places), half=st.tuples(edges, edges, edges))
+@given(
+    quaternion=unit_quaternions(),
+    centre=st.tuples(places, places, places),
+    half=st.tuples(edges, edges, edges),
+)
 def test_corners_are_the_rotated_local_ones(
     quaternion: Array, centre: tuple[float, ...], half: tuple[float, ...]
 ) -> None:
@@ -156,9 +160,7 @@ def test_overlap_is_symmetric(first: Package, second: Package) -> None:
 def test_overlap_of_axis_aligned_boxes_is_exact(first: Package, second: Package) -> None:
     shared = [
         min(a + la / 2, b + lb / 2) - max(a - la / 2, b - lb / 2)
-        for a, la, b, lb in zip(
-            first.position_m, first.size_m, second.position_m, second.size_m, strict=True
-        )
+        for a, la, b, lb in zip(first.position_m, first.size_m, second.position_m, second.size_m, strict=True)
     ]
     assert overlap_depth(first, second) == pytest.approx(min(shared), abs=ROUNDING)
 

@@ -1,0 +1,83 @@
+"""The error estimate is the difference to the doubled step, and says why where there is none."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from config.scene import Scene
+from config.scene_file import find_scene, read_scene
+from sim_core.companion import Companion, companion_scene
+from sim_core.report import judgement, worst_by_rule
+from sim_core.run import run_test
+
+MakeScene = Callable[..., Scene]
+Box = Callable[..., dict[str, Any]]
+
+
+def worst(scene: Scene) -> dict[str, float]:
+    return worst_by_rule(judgement(scene, run_test(scene).judge))
+
+
+def test_the_estimate_is_the_difference_to_the_doubled_step() -> None:
+    scene = read_scene(find_scene("block_slip"))
+    companion = Companion(scene)
+    real, doubled = worst(scene), worst(companion_scene(scene))
+    estimate = companion.estimate(real)
+    assert estimate.problem is None
+    assert estimate.companion_step_s == 2.0 * scene.time_step_s
+    # The same code on the same samples: the very numbers, since JSON keeps every bit.
+    assert estimate.by_rule_mm == {name: abs(real[name] - doubled[name]) for name in real}
+    assert set(estimate.by_rule_mm) == {"permanent", "permanent_on_pallet", "elastic"}
+    assert estimate.largest_mm == max(estimate.by_rule_mm.values())
+    # Sliding in closed form: 467.49964 mm. What the estimate is for: it covers the real error.
+    assert abs(real["permanent"] - 467.49964) <= estimate.by_rule_mm["permanent"] + 1.0e-5
+
+
+@pytest.mark.parametrize(
+    ("parts", "factor"),
+    [
+        ({}, 2.0),
+        ({"solver": {"time_step_s": 1.0 / 1920, "iterations": 70}}, 2.0),
+        # Frames at 480 Hz leave no room for a step above 1/480 s.
+        ({"sampling": {"poses_hz": 480}}, 0.5),
+        # Three samples a frame: two of them don't fit, half a sample does.
+        ({"sampling": {"samples_hz": 720, "poses_hz": 240}, "solver": {"time_step_s": 1.0 / 720}}, 0.5),
+    ],
+)
+def test_the_companions_step(make_scene: MakeScene, box: Box, parts: dict[str, Any], factor: float) -> None:
+    scene = make_scene(box("a"), **parts)
+    other = companion_scene(scene)
+    assert other.time_step_s == pytest.approx(factor * scene.time_step_s, rel=1.0e-12)
+    assert other.iterations == scene.iterations
+    assert other.model_copy(update={"solver": scene.solver}) == scene
+
+
+def test_a_companion_that_a_monitor_ends_is_a_problem(make_scene: MakeScene, box: Box) -> None:
+    """1000 m/s² on ice for 0.1 s: past 50 m/s after half of it, where the engine's word counts no more."""
+    scene = make_scene(
+        box("a", bottom=0.0),
+        pallet=None,
+        surfaces={"pairs": [{"between": ["cardboard", "sled"], "friction": 0.0}]},
+        sled={"profile": "table", "times_s": [0.0, 0.1], "acceleration_mps2": [1000.0, 1000.0]},
+    )
+    estimate = Companion(scene).estimate({"elastic": 1.0})
+    assert estimate.largest_mm is None
+    assert estimate.by_rule_mm == {}
+    assert estimate.problem is not None
+    assert "ended by monitor 'speed'" in estimate.problem
+    assert "limit 50.0 m/s" in estimate.problem
+
+
+def test_a_companion_that_cannot_begin_is_a_problem(make_scene: MakeScene, box: Box) -> None:
+    estimate = Companion(make_scene(box("a"), sled={"profile": "recorded"})).estimate({})
+    assert estimate.largest_mm is None
+    assert estimate.problem is not None
+    assert "sled.bag" in estimate.problem
+
+
+def test_a_cancelled_companion_is_gone(make_scene: MakeScene, box: Box) -> None:
+    companion = Companion(make_scene(box("a")))
+    companion.cancel()
+    estimate = companion.estimate({"elastic": 1.0})
+    assert (estimate.largest_mm, estimate.problem) == (None, "the companion run ended with code -9")
