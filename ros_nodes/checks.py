@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from config.scene import Scene
-from config.scene_file import find_scene, read_scene
+from recordings.recorded_sled import load_scene
 from sim_core.integrity import Finding, check_integrity, deepest_overlaps
 
 BAG_MAGIC = b"\x89MCAP0\r\n"
@@ -24,7 +24,7 @@ def check_file(name: str, overrides: Sequence[str]) -> tuple[list[Finding], dict
     path = Path(name)
     if path.is_dir() or _is_mcap(path):
         return _check_bag(path)
-    scene = read_scene(find_scene(name), overrides)
+    scene = load_scene(name, overrides)
     return check_integrity(scene), _facts(scene)
 
 

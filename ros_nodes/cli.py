@@ -71,11 +71,11 @@ def run(
 
     Examples: `pallet-twin run eur_columns --set sled.level_g=0.3`, `pallet-twin run my_load.xml --out out/my_load`.
     """
-    from config.scene_file import find_scene, read_scene
+    from recordings.recorded_sled import load_scene
     from ros_nodes.one_test import make_folder, run_headless
     from sim_core.integrity import require_integrity
 
-    loaded = read_scene(find_scene(scene), set_ or ())
+    loaded = load_scene(scene, set_ or ())
     require_integrity(loaded)
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag)
     with output.progress(loaded, quiet=as_json) as on_progress:
@@ -109,11 +109,11 @@ def up(
 
     While it runs, any ROS 2 tool on this host and ROS_DOMAIN_ID sees the topics.
     """
-    from config.scene_file import find_scene, read_scene
+    from recordings.recorded_sled import load_scene
     from ros_nodes.one_test import make_folder, run_graph
     from sim_core.integrity import require_integrity
 
-    loaded = read_scene(find_scene(scene), set_ or ())
+    loaded = load_scene(scene, set_ or ())
     require_integrity(loaded)
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record)
     with output.progress(loaded, quiet=as_json) as on_progress:

@@ -102,7 +102,8 @@ def show_rules(report: Report) -> None:
         worst = max(report["packages"], key=lambda package: package["peak_mm"])
         console.print(
             Text(
-                f"worst package {worst['id']}: peak {worst['peak_mm']:.1f} mm, permanent {worst['permanent_mm']:.1f} mm,"
+                f"worst package {worst['id']}: peak {worst['peak_mm']:.1f} mm,"
+                f" permanent {worst['permanent_mm']:.1f} mm,"
                 f" tilt {worst['final_tilt_deg']:.1f} deg"
             )
         )

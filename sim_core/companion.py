@@ -82,7 +82,8 @@ class Companion:
             worst_mm: the real run's worst displacement by rule [mm].
         """
         assert self._process.stdout is not None
-        answer = self._process.stdout.read()
+        with self._process.stdout as stream:
+            answer = stream.read()
         self._process.wait()
         step_s = self._scene.time_step_s
         try:
@@ -102,6 +103,8 @@ class Companion:
 
     def cancel(self) -> None:
         """Ends the companion without waiting for its answer."""
+        assert self._process.stdout is not None
+        self._process.stdout.close()
         self._process.kill()
         self._process.wait()
 

@@ -1,7 +1,6 @@
 """The report as one HTML page that stands on its own: read at a glance, printed for a customer's file."""
 
 import math
-import os
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +48,7 @@ def write_report_html(report: Report, scene: Scene, path: Path) -> None:
     scratch = path.with_name(path.name + ".part")
     try:
         scratch.write_bytes(content)
-        os.replace(scratch, path)
+        scratch.replace(path)
     finally:
         scratch.unlink(missing_ok=True)
 
