@@ -129,6 +129,15 @@ class Surfaces(Part):
 
     pairs: tuple[SurfacePair, ...] = ()
 
+    @model_validator(mode="after")
+    def _pairs_stand_once(self) -> Self:
+        seen: set[frozenset[str]] = set()
+        for pair in self.pairs:
+            if frozenset(pair.between) in seen:
+                raise ValueError(f"{' on '.join(pair.between)} stands twice")
+            seen.add(frozenset(pair.between))
+        return self
+
 
 Direction = Literal["+x", "-x", "+y", "-y"] | Annotated[float, Field(ge=-360.0, le=360.0)]
 
@@ -252,7 +261,7 @@ class Sampling(Part):
 class Solver(Part):
     """Engine and accuracy: a tolerance for the error estimate, or explicit settings."""
 
-    engine: Literal["bullet"] = "bullet"
+    engine: Literal["bullet", "mujoco"] = "bullet"
     tolerance_mm: float = Field(
         default=1.0, gt=0.0, le=1000.0, description="wanted bound of the error estimate"
     )

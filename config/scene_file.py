@@ -230,14 +230,14 @@ def _refusal(error: ValidationError) -> RefusedInput:
     field = ".".join(
         part
         for i, part in enumerate(place)
-        if not (i == 1 and place[0] in ("load", "pallet", "sled") and part in _UNION_TAGS)
+        if not (i == 1 and place[0] in ("load", "pallet", "sled") and part in _UNION_TAGS) and "[" not in part
     )
     limit = first["msg"].removeprefix("Value error, ").replace("Input should", "must")
     if first["type"] == "extra_forbidden":
         limit = "unknown key"
     elif first["type"] == "missing":
         limit = "is required"
-    if "size_m" in field and first["type"] == "less_than_equal":
+    if ("size_m" in field or "position_m" in field) and first["type"] == "less_than_equal":
         limit += " m; is it given in millimetres?"
     if count > 1:
         limit += f" ({count - 1} more like this)" if count > 2 else " (1 more)"

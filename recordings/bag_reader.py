@@ -276,6 +276,12 @@ class BagReader:
 
 def _mcap_file(path: Path) -> Path:
     """The MCAP file that a user means by a directory or a file."""
+    try:
+        path.stat()
+    except FileNotFoundError:
+        raise BrokenRecording("bag", str(path), "does not exist") from None
+    except OSError as error:
+        raise BrokenRecording("bag", str(path), error.strerror or "cannot be read") from None
     if (path / METADATA_FILE).is_file():
         path = path / read_file_name(path / METADATA_FILE)
     if not path.exists():

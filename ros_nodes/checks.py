@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from config.errors import RefusedInput
 from config.scene import Scene
 from recordings.recorded_sled import load_scene
 from sim_core.integrity import Finding, check_integrity, deepest_overlaps
@@ -22,7 +23,11 @@ def check_file(name: str, overrides: Sequence[str]) -> tuple[list[Finding], dict
         RefusedInput: the file cannot be read at all.
     """
     path = Path(name)
-    if path.is_dir() or _is_mcap(path):
+    try:
+        is_bag = path.is_dir() or _is_mcap(path)
+    except OSError as error:
+        raise RefusedInput("file", name, error.strerror or "cannot be read") from None
+    if is_bag:
         return _check_bag(path)
     scene = load_scene(name, overrides)
     return check_integrity(scene), _facts(scene)

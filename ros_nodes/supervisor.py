@@ -157,7 +157,7 @@ class Supervisor:
                 arguments += ["-p", f"{key}:={json.dumps(value)}"]
             with log.open("wb") as stream:
                 process = subprocess.Popen(
-                    [sys.executable, "-m", f"ros_nodes.{name}", *arguments],
+                    [sys.executable, "-P", "-m", f"ros_nodes.{name}", *arguments],
                     stdin=subprocess.DEVNULL,
                     stdout=stream,
                     stderr=subprocess.STDOUT,

@@ -22,6 +22,8 @@ DENSITY_RANGE = (5.0, 8000.0)
 """Plausible density of a package [kg/m³]: lighter than foam chips or heavier than steel is a slip of units."""
 EDGE_RANGE_M = (0.005, 3.0)
 SUPPORT_SHARE = 0.5
+PLATFORM_HALF_M = 9.0
+"""The sled's platform is modelled 20 m wide, so that nothing slides off it."""
 
 
 @dataclass(frozen=True)
@@ -87,8 +89,8 @@ def check_integrity(scene: Scene) -> list[Finding]:
     build_profile(scene)
     findings = [
         *_overlaps(scene),
-        *_supports(scene),
         *_pallet_bounds(scene),
+        *_supports(scene),
         *_plausibility(scene),
         *_missing_friction(scene),
     ]
@@ -165,6 +167,11 @@ def _supports(scene: Scene) -> list[Finding]:
                         f"must stand on something within {1000.0 * TOUCH_M:.0f} mm")
             )  # fmt: skip
             continue
+        if package.kind == "interlayer" and any(support.below == -2 for support in own):
+            found.append(
+                Finding("error", "support", package.id, "lies on the sled itself",
+                        "a sheet must lie on the pallet or on packages")
+            )  # fmt: skip
         outside = _outside_support(package, own)
         if outside > 0.0:
             found.append(
@@ -227,9 +234,16 @@ def _convex_hull(points: Array) -> Array:
 
 def _pallet_bounds(scene: Scene) -> list[Finding]:
     pallet = scene.pallet_box
-    if pallet is None:
-        return []
     found: list[Finding] = []
+    if pallet is None:
+        for package in scene.packages:
+            beyond = float(np.abs(package.position_m[:2]).max()) - PLATFORM_HALF_M
+            if beyond > 0.0:
+                found.append(
+                    Finding("error", "position", package.id, f"centre {beyond:.2f} m off the sled",
+                            f"must stand within {PLATFORM_HALF_M:g} m of the sled's middle")
+                )  # fmt: skip
+        return found
     half = 0.5 * np.array(pallet.size_m[:2])
     worst, who = 0.0, ""
     for package in scene.packages:

@@ -34,7 +34,7 @@ class RigidBox:
         position_m: centre in frame ``sled`` [m].
         yaw_deg: turn about z [deg].
         face: friction class of its faces.
-        sheet_m: thickness of the sheet that it carries on top [m].
+        sheet_m: thickness of the sheets that it carries on top [m].
     """
 
     name: str
@@ -81,11 +81,13 @@ def build_rigid_model(scene: Scene) -> RigidModel:
         boxes.append(None if package.kind == "interlayer" else _box(package, face))
     sheets = _sheets(scene, standing)
     for sheet in sheets:
-        thickness = scene.packages[sheet.row - 1].size_m[2]
+        lying = scene.packages[sheet.row - 1]
+        top = lying.position_m[2] + lying.size_m[2] / 2.0
         for row in sheet.carriers:
             carrier = boxes[row]
             if carrier is not None:
-                boxes[row] = replace(carrier, sheet_m=thickness)
+                own_top = carrier.position_m[2] + carrier.size_m[2] / 2.0
+                boxes[row] = replace(carrier, sheet_m=max(carrier.sheet_m, round(top - own_top, 9)))
     friction, touching = _friction(scene, standing, faces)
     return RigidModel(tuple(boxes), sheets, friction, frozenset(touching))
 

@@ -72,11 +72,12 @@ class SledProfile:
         if k == len(self.times) - 1:
             return np.zeros(3), self.velocities[k].copy(), self.positions[k] + self.velocities[k] * tau
         start = self.accelerations[k]
-        slope = (self.accelerations[k + 1] - start) / (self.times[k + 1] - self.times[k])
+        # j·τ, by the share of the piece that has passed: the slope of a very short piece could overflow.
+        change = (self.accelerations[k + 1] - start) * (tau / (self.times[k + 1] - self.times[k]))
         return (
-            start + slope * tau,
-            self.velocities[k] + start * tau + slope * tau**2 / 2.0,
-            self.positions[k] + self.velocities[k] * tau + start * tau**2 / 2.0 + slope * tau**3 / 6.0,
+            start + change,
+            self.velocities[k] + start * tau + change * tau / 2.0,
+            self.positions[k] + self.velocities[k] * tau + start * tau**2 / 2.0 + change * tau**2 / 6.0,
         )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
+from config.errors import RefusedInput
 from config.scene import Scene
 from sim_core.frames import Array
 from sim_core.friction import UnmetPair
@@ -76,7 +77,18 @@ def make_engine(scene: Scene) -> RigidEngine:
 
     Args:
         scene: a resolved scene.
+
+    Raises:
+        RefusedInput: the engine is not installed.
     """
+    if scene.solver.engine == "mujoco":
+        try:
+            from sim_core.engines.mujoco import MujocoEngine
+        except ImportError:
+            raise RefusedInput(
+                "solver.engine", "mujoco", "is not installed: pip install 'pallet-twin[mujoco]'"
+            ) from None
+        return MujocoEngine(scene)
     from sim_core.engines.bullet import BulletEngine
 
     return BulletEngine(scene)

@@ -122,7 +122,7 @@ placed = st.fixed_dictionaries(
     {
         "size_m": st.tuples(edges, edges, edges),
         "mass_kg": st.floats(1.0e-3, 5000.0),
-        "position_m": st.tuples(*3 * [st.floats(-1.0e3, 1.0e3)]),
+        "position_m": st.tuples(*3 * [st.floats(-1.0e2, 1.0e2)]),
     },
     optional={
         "yaw_deg": st.floats(-1.0e6, 1.0e6),

@@ -3,6 +3,7 @@
 import json
 import os
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from config.errors import RefusedInput
 from config.package import Package
+from config.readers.pallet import bounds
 from config.scene import CustomPallet, PackagesLoad, Scene
 from config.scene_file import (
     find_scene,
@@ -160,7 +162,10 @@ def test_overrides_come_in_order_and_may_end_a_part(read: Callable[..., Scene]) 
     scene = read({**RAW, "force_fields": {}}, "sled.level_g=0.6", "sled.level_g=0.7", "force_fields=null")
     assert scene.sled.level_g == 0.7
     assert scene.force_fields is None
-    assert read(RAW, 'sled={"profile":"table","times_s":[0,1],"acceleration_mps2":[1,1]}').sled.profile == "table"
+    assert (
+        read(RAW, 'sled={"profile":"table","times_s":[0,1],"acceleration_mps2":[1,1]}').sled.profile
+        == "table"
+    )
 
 
 @pytest.mark.parametrize(
@@ -257,7 +262,9 @@ def by_layer(scene: Scene) -> dict[int, list[Package]]:
 
 
 def places(packages: Sequence[Package], x: int = 1, y: int = 1) -> list[tuple[float, ...]]:
-    return sorted((round(x * p.position_m[0], 9) + 0.0, round(y * p.position_m[1], 9) + 0.0) for p in packages)
+    return sorted(
+        (round(x * p.position_m[0], 9) + 0.0, round(y * p.position_m[1], 9) + 0.0) for p in packages
+    )
 
 
 def test_layers_are_kept_from_below_turned_and_mirrored(read: Callable[..., Scene]) -> None:
@@ -320,18 +327,19 @@ def test_clearance_is_taken_off_the_sides_and_nothing_else(
         assert after.size_m == pytest.approx((length - trim, width - trim, height), abs=1e-15)
         assert after.position_m == before.position_m
         assert after.mass_kg == before.mass_kg
-    # A column's neighbours: 0.4 m and 0.3 m pitch, so the gap is the clearance.
-    first, *others = [p for p in scene.packages if p.layer == 1 and p.kind == "package"]
-    gaps = [
-        abs(p.position_m[0] - first.position_m[0]) - first.size_m[0]
-        for p in others
-        if p.yaw_deg == first.yaw_deg and p.position_m[1] == first.position_m[1]
-    ]
-    if first.yaw_deg % 180.0 == 0.0:
-        assert min(gaps) == pytest.approx(clearance, abs=1e-12)
+    # Cartons that touch in the file: along a row, one after the other, the gap is the clearance.
+    layer = [p for p in scene.packages if p.layer == 1 and p.kind == "package"]
+    row = sorted(
+        (p for p in layer if p.position_m[1] == layer[0].position_m[1]), key=lambda p: p.position_m[0]
+    )
+    gaps = [bounds(right).x_min - bounds(left).x_max for left, right in pairwise(row)]
+    assert gaps == pytest.approx([clearance] * (len(row) - 1), abs=1e-12)
+    assert len(gaps) >= 2
 
 
-def test_clearance_that_leaves_nothing_is_refused(read: Callable[..., Scene], refusal: Refuse, tmp_path: Path) -> None:
+def test_clearance_that_leaves_nothing_is_refused(
+    read: Callable[..., Scene], refusal: Refuse, tmp_path: Path
+) -> None:
     text = (PATTERNS / "eur_columns.nist.xml").read_text(encoding="utf-8")
     small = tmp_path / "small.xml"
     small.write_text(text.replace("<Width>300</Width>", "<Width>70</Width>"), encoding="utf-8")
@@ -370,7 +378,9 @@ def table_of(**parts: Any) -> dict[tuple[str, ...], float]:
 def test_frictions_come_from_the_scene_before_the_library() -> None:
     library = {("cardboard",): 0.5, ("cardboard", "sled"): 0.5, ("cardboard", "wood"): 0.5}
     assert table_of() == library
-    own = {"pairs": [{"between": ["wood", "cardboard"], "friction": 0.2}, {"between": ["x", "y"], "friction": 9}]}
+    own = {
+        "pairs": [{"between": ["wood", "cardboard"], "friction": 0.2}, {"between": ["x", "y"], "friction": 9}]
+    }
     assert table_of(surfaces=own) == {**library, ("cardboard", "wood"): 0.2}
 
 
@@ -381,7 +391,10 @@ def test_only_a_pallet_that_can_slide_needs_friction_on_the_sled() -> None:
 
 
 def test_a_pair_that_nobody_names_is_absent() -> None:
-    boxes = [{**RAW["load"]["packages"][0], "surface": "steel"}, {**RAW["load"]["packages"][1], "surface": "aluminium"}]
+    boxes = [
+        {**RAW["load"]["packages"][0], "surface": "steel"},
+        {**RAW["load"]["packages"][1], "surface": "aluminium"},
+    ]
     table = table_of(load={"packages": boxes})
     assert ("aluminium", "steel") not in table
     assert table[("steel", "wood")] == 0.3

@@ -69,7 +69,7 @@ def node_pids(parent: int) -> dict[str, int]:
     return found
 
 
-def wait_until_recording(bag: Path, *, more_than: int = 20_000) -> None:
+def wait_until_recording(bag: Path, *, more_than: int = 80_000) -> None:
     """Waits until the recorder has put some chunks on disk."""
     deadline = time.monotonic() + 60.0
     while sum(part.stat().st_size for part in bag.glob("*.part")) <= more_than:

@@ -106,7 +106,8 @@ def test_killed_node_ends_the_test(tmp_path: Path, name: str) -> None:
     began = time.monotonic()
     kill(nodes[name])
     _, errors = process.communicate(timeout=30)
-    assert time.monotonic() - began < 2.0
+    # 2 s on a quiet machine; a busy one must not fail the test.
+    assert time.monotonic() - began < 10.0
     assert process.returncode == 3
     assert name in errors and "SIGKILL" in errors and "Traceback" not in errors
     done = pallet_twin("check", str(bag), cwd=tmp_path)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
 from config.errors import RefusedInput
@@ -192,6 +192,7 @@ def test_after_a_table_that_does_not_brake_the_sled_coasts(make_scene: MakeScene
 
 
 @settings(max_examples=40, deadline=None)
+@example(knots=[(0.0, 0.0), (2.0e-313, 1.0)], time_s=0.0)
 @given(
     knots=st.lists(st.tuples(st.floats(0.0, 1.0), st.floats(-20.0, 20.0)), min_size=2, max_size=12),
     time_s=st.floats(0.0, 2.0),
