@@ -3,7 +3,7 @@
 Field k stands on a vertical plane at distance d outside the settled load's perimeter, with outward
 normal n_k. It acts on package i with
 
-    f_ik = −n_k · F_base · w_i · [φ(r_ik) − φ(r⁰_ik)],   φ(r) = (d / max(r, d/10))^p,   F_base = T/4 · Σm · a
+    f_ik = −n_k · F_base · w_i · [φ(r_ik) − φ(r⁰_ik)],   φ(r) = (d / max(r, d/4))^p,   F_base = T/4 · Σm · a
 
 where r_ik is the distance from the package's outermost point along n_k to the plane, r⁰_ik that of the
 settled load, w_i the package's share over the height, w_i ∝ exp(−(z_i − z_mid)²/(2·σ_h²)) with
@@ -19,6 +19,10 @@ from sim_core.frames import Array
 from sim_core.geometry import rotation_matrices
 
 NORMALS: Array = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+
+
+NEAREST_SHARE = 0.25
+"""The push stops growing this close to the plane, as a share of d: 16 times the push at the perimeter for p = 2."""
 
 
 class PerimeterForceFields:
@@ -47,12 +51,17 @@ class PerimeterForceFields:
         settled = self._outermost(positions, orientations)
         self._planes = settled.max(axis=0) + fields.distance_m
         self._settled_press = self._press(settled)
-        # Steepest slope of the force, at r = d/10: k = p·F·(d/r)^p / r, both sides of an axis never at once.
-        nearest = 0.1 * fields.distance_m
-        slope = fields.falloff * self._strengths * 10.0**fields.falloff / nearest
-        self.stiffest_frequency = float(np.sqrt((slope / masses).max()))
-        slope_at_rest = 2.0 * fields.falloff * self._strengths / fields.distance_m
-        self.rest_frequency = float(np.sqrt((slope_at_rest / masses).max()))
+        self._masses = masses
+
+    def stiffest_frequency(self, positions: Array, orientations: Array) -> float:
+        """Frequency √(k/m) of the stiffest package where it stands [rad/s], k = p·F·φ(r)/r."""
+        gaps = self._planes - self._outermost(positions, orientations)
+        held = np.maximum(gaps, NEAREST_SHARE * self._distance)
+        slopes = self._falloff * self._strengths[:, None] * (self._distance / held) ** self._falloff / held
+        # Nearer than that the push is constant: no spring.
+        slopes[gaps < NEAREST_SHARE * self._distance] = 0.0
+        along_axis = slopes.reshape(-1, 2, 2).sum(axis=2).max(axis=1)
+        return float(np.sqrt((along_axis / self._masses).max()))
 
     def forces(self, positions: Array, orientations: Array) -> Array:
         """Force on each body's centre [N], shape [package_count + 1, 3]; row 0 (the pallet) is zero."""
@@ -64,7 +73,7 @@ class PerimeterForceFields:
 
     def _press(self, outermost: Array) -> Array:
         """φ of every package and field, shape [package_count, 4]."""
-        gaps = np.maximum(self._planes - outermost, 0.1 * self._distance)
+        gaps = np.maximum(self._planes - outermost, NEAREST_SHARE * self._distance)
         press: Array = (self._distance / gaps) ** self._falloff
         return press
 

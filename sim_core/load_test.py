@@ -1,43 +1,25 @@
 """One load on the sled: settles it, then turns the sled's samples into pose frames, watching itself."""
 
-from dataclasses import dataclass
+from copy import copy
 
 import numpy as np
 
 from config.errors import EndedByMonitor
 from config.scene import Scene
+from sim_core.energy import EnergyLedger
 from sim_core.engines import make_engine
 from sim_core.force_fields import PerimeterForceFields
 from sim_core.frames import Array, PoseFrame, SledSample
 from sim_core.geometry import turned_by_half_step
+from sim_core.monitors import Breach, Extremes, Monitors
 from sim_core.sled import build_profile, stop_sample
 
 # Less than 1 and 2 mm/s: boxes that stick under shear still creep in the solver, by up to half of that.
 SETTLED_FOR_S, SETTLED_WITHIN_M, SETTLE_LIMIT_S = 0.05, 5.0e-5, 2.0
 REST_FOR_S, REST_WITHIN_M, REST_LIMIT_S = 0.25, 5.0e-4, 3.0
-MAXIMUM_SPEED_MPS = 50.0
-"""Half of the 100 m/s at which btMultiBody clamps each velocity in silence."""
-MAXIMUM_RELATIVE_PENETRATION = 0.02
-"""Of the smaller body's smallest edge, three checks running: an impact passes, a load that sinks does not."""
-PENETRATION_CHECKS = 3
 CONTACT_CHECK_HZ = 30
-
-
-@dataclass
-class WatchedExtremes:
-    """The largest values that the monitors saw.
-
-    Attributes:
-        penetration_m: deepest contact [m].
-        speed_mps: largest speed relative to the sled [m/s].
-        residual: largest remaining solver residual, in the engine's measure.
-        contact_count: largest number of contact points.
-    """
-
-    penetration_m: float = 0.0
-    speed_mps: float = 0.0
-    residual: float = 0.0
-    contact_count: int = 0
+SNAPSHOT_HZ = 20
+MAXIMUM_HALVINGS = 3
 
 
 class RestWatch:
@@ -81,12 +63,12 @@ class LoadTest:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.engine = make_engine(scene)
-        self.extremes = WatchedExtremes()
         self.settle_s = 0.0
         self.step_count = 0
+        self.halvings: list[str] = []
         self.finished = False
         self.at_rest = False
-        self._steps_a_feed, self._samples_a_feed = scene.steps_and_samples()
+        self._steps_a_group, self._samples_a_group = scene.steps_and_samples()
         self._samples_a_frame = scene.sampling.samples_hz // scene.sampling.poses_hz
         self._step_s = scene.time_step_s
         self._stop_sample = stop_sample(scene)
@@ -94,11 +76,16 @@ class LoadTest:
         edges = [(0.0, 0.0, 0.0)] + [package.size_m for package in scene.packages]
         self._radii = 0.5 * np.linalg.norm(np.array(edges), axis=1)
         self._rest = RestWatch(self._radii, within_m=REST_WITHIN_M, for_s=REST_FOR_S)
-        self._deep_checks = 0
+        self._monitors = Monitors(["pallet", *(package.id for package in scene.packages)], self._radii)
+        self._ledger = EnergyLedger(scene)
         self._frame_count = 0
         self._frames_a_check = max(1, scene.sampling.poses_hz // CONTACT_CHECK_HZ)
-        self._samples_held = 0
-        self._delta_velocity = np.zeros(3)
+        self._frames_a_snapshot = max(1, scene.sampling.poses_hz // SNAPSHOT_HZ)
+        # Changes of the sled's velocity, a sample each: since the last frame, and of the frames since the snapshot.
+        self._pending: list[Array] = []
+        self._since_snapshot: list[list[Array]] = []
+        self._since_ledger: list[list[Array]] = []
+        self._snapshot: int | None = None
         self._fields = self._build_fields()
 
     @property
@@ -106,8 +93,21 @@ class LoadTest:
         """Simulated time since the first frame [s]."""
         return max(0, self._frame_count - 1) / self.scene.sampling.poses_hz
 
+    @property
+    def extremes(self) -> Extremes:
+        """The largest values that the monitors saw."""
+        return self._monitors.extremes
+
+    @property
+    def smallest_step_s(self) -> float:
+        """The step in use at the end [s]: the scene's, halved on breaches."""
+        return self._step_s
+
     def feed(self, index: int, acceleration: Array, stamp_ns: int) -> PoseFrame | None:
-        """Settles on sample 0, and steps on every later one; returns a frame when one is due.
+        """Settles on sample 0, and takes every later one; steps and returns a frame when one is due.
+
+        On a breach of a monitor the state rolls back to the last snapshot, the step is halved, and the samples
+        since are stepped again; frames that were given out stand. After three halvings the test ends.
 
         Args:
             index: the sample's index, from 0; they must come without a gap.
@@ -115,23 +115,23 @@ class LoadTest:
             stamp_ns: the sample's stamp [ns].
 
         Raises:
-            EndedByMonitor: the load does not stand by itself, or a monitor was breached; earlier frames stand.
+            EndedByMonitor: the load does not stand by itself, or a monitor was breached for good; earlier
+                frames stand.
         """
         if index == 0:
             return self._settle(stamp_ns)
-        self._delta_velocity = self._delta_velocity + acceleration / self.scene.sampling.samples_hz
-        self._samples_held += 1
-        if self._samples_held == self._samples_a_feed:
-            share = self._delta_velocity / self._steps_a_feed
-            for _ in range(self._steps_a_feed):
-                self._step(share)
-            self._samples_held, self._delta_velocity = 0, np.zeros(3)
+        self._pending.append(acceleration / self.scene.sampling.samples_hz)
         if index % self._samples_a_frame:
             return None
+        self._advance(self._pending)
+        while (breach := self._watch()) is not None:
+            self._roll_back(breach)
+            self._advance(self._pending)
+        self._since_snapshot.append(self._pending)
+        self._pending = []
         frame = self._frame(stamp_ns)
-        self._watch_motion()
-        if frame.index % self._frames_a_check == 0:
-            self._watch_contacts()
+        if frame.index % self._frames_a_snapshot == 0:
+            self._take_snapshot()
         self._look_for_rest(index, frame)
         return frame
 
@@ -160,17 +160,74 @@ class LoadTest:
         while self.scene.packages and not watch.update(steps * self._step_s, *self.engine.poses()):
             self._step(still)
             steps += 1
-            self._watch_motion()
-            if steps * self._step_s > SETTLE_LIMIT_S:
-                raise EndedByMonitor(
+            breach = self._monitors.motion(self.engine.poses()[0], *self.engine.velocities())
+            if breach is None and steps * self._step_s > SETTLE_LIMIT_S:
+                breach = Breach(
                     "settling",
                     f"the load moved by {1000.0 * watch.moved_m:.3f} mm within {SETTLED_FOR_S} s, after"
                     f" {SETTLE_LIMIT_S} s at rest, limit {1000.0 * SETTLED_WITHIN_M} mm: it does not stand by itself",
-                    0.0,
                 )
+            if breach is not None:
+                raise EndedByMonitor(breach.monitor, breach.reason, 0.0)
         self.settle_s = steps * self._step_s
-        self._watch_contacts()
+        self._monitors.contacts(self.engine.contacts(), self.engine.residual())
+        self._ledger = self._accounted()
+        self._take_snapshot()
         return self._frame(stamp_ns)
+
+    def _advance(self, changes: list[Array]) -> None:
+        """Steps over samples, in groups that hold a whole number of steps."""
+        steps = self._steps_a_group * 2 ** len(self.halvings)
+        for start in range(0, len(changes), self._samples_a_group):
+            share = sum(changes[start : start + self._samples_a_group], np.zeros(3)) / steps
+            for _ in range(steps):
+                self._step(share)
+
+    def _watch(self) -> Breach | None:
+        """Every monitor, on the state of the frame that is due."""
+        positions, orientations = self.engine.poses()
+        linear, angular = self.engine.velocities()
+        breach = self._monitors.motion(positions, linear, angular)
+        if breach is None and self._fields is not None:
+            frequency = self._fields.stiffest_frequency(positions, orientations)
+            breach = self._monitors.stiffness(self._step_s, frequency)
+        if breach is None and self._frame_count % self._frames_a_check == 0:
+            breach = self._monitors.contacts(self.engine.contacts(), self.engine.residual())
+        if breach is None:
+            ledger = self._accounted()
+            breach = self._monitors.energy(ledger.residual)
+            if breach is None:
+                self._ledger, self._since_ledger = ledger, []
+        return breach
+
+    def _accounted(self) -> EnergyLedger:
+        """The ledger with the state of the frame that is due."""
+        ledger = copy(self._ledger)
+        positions, orientations = self._read()
+        forces = self._fields.forces(positions, orientations) if self._fields is not None else None
+        changes = [change for frame in self._since_ledger for change in frame] + self._pending
+        ledger.update(sum(changes, np.zeros(3)), positions, orientations, *self.engine.velocities(), forces)
+        return ledger
+
+    def _take_snapshot(self) -> None:
+        if self._snapshot is not None:
+            self.engine.forget(self._snapshot)
+        self._snapshot = self.engine.snapshot()
+        self._ledger_then = self._ledger
+        self._since_snapshot = []
+        self._since_ledger = []
+
+    def _roll_back(self, breach: Breach) -> None:
+        if len(self.halvings) == MAXIMUM_HALVINGS or self._snapshot is None:
+            raise EndedByMonitor(breach.monitor, breach.reason, self.time_s)
+        self.halvings.append(f"at {self.time_s:.3f} s: {breach.monitor}: {breach.reason}")
+        self._step_s /= 2.0
+        self.engine.restore(self._snapshot)
+        self.engine.set_step(self._step_s)
+        self._monitors.forget_recent()
+        self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
+        for changes in self._since_snapshot:
+            self._advance(changes)
 
     def _build_fields(self) -> PerimeterForceFields | None:
         if self.scene.force_fields is None or not self.scene.packages:
@@ -183,62 +240,23 @@ class LoadTest:
         self.engine.step(delta_velocity, forces)
         self.step_count += 1
 
-    def _frame(self, stamp_ns: int) -> PoseFrame:
-        """Poses at the stamp: a semi-implicit step leaves positions half a step of motion ahead."""
+    def _read(self) -> tuple[Array, Array]:
+        """Poses at the time of the velocities: a semi-implicit step leaves positions half a step of motion ahead."""
         positions, orientations = self.engine.poses()
         linear, angular = self.engine.velocities()
-        frame = PoseFrame(
-            index=self._frame_count,
-            stamp_ns=stamp_ns,
-            positions=positions - 0.5 * self._step_s * linear,
-            orientations=turned_by_half_step(orientations, angular, self._step_s),
+        return (
+            positions - 0.5 * self._step_s * linear,
+            turned_by_half_step(orientations, angular, self._step_s),
         )
+
+    def _frame(self, stamp_ns: int) -> PoseFrame:
+        positions, orientations = self._read()
+        frame = PoseFrame(self._frame_count, stamp_ns, positions, orientations)
         self._frame_count += 1
         return frame
-
-    def _watch_motion(self) -> None:
-        """Takes note of the largest speed of any corner.
-
-        Raises:
-            EndedByMonitor: the state is not finite, or faster than the engine can represent.
-        """
-        linear, angular = self.engine.velocities()
-        speeds = np.linalg.norm(linear, axis=1) + np.linalg.norm(angular, axis=1) * self._radii
-        speed = float(speeds.max())
-        if not np.isfinite(speed) or not np.isfinite(self.engine.poses()[0]).all():
-            row = int(np.argmin(np.isfinite(speeds)))
-            raise EndedByMonitor(
-                "finite state", f"{self._body_name(row)} has no finite pose or velocity", self.time_s
-            )
-        self.extremes.speed_mps = max(self.extremes.speed_mps, speed)
-        if speed > MAXIMUM_SPEED_MPS:
-            raise EndedByMonitor(
-                "speed",
-                f"{self._body_name(int(speeds.argmax()))} at {speed:.1f} m/s, limit {MAXIMUM_SPEED_MPS} m/s",
-                self.time_s,
-            )
-
-    def _watch_contacts(self) -> None:
-        state = self.engine.contacts()
-        extremes = self.extremes
-        extremes.penetration_m = max(extremes.penetration_m, state.penetration_m)
-        extremes.contact_count = max(extremes.contact_count, state.count)
-        extremes.residual = max(extremes.residual, self.engine.residual())
-        is_deep = state.relative_penetration > MAXIMUM_RELATIVE_PENETRATION
-        self._deep_checks = self._deep_checks + 1 if is_deep else 0
-        if self._deep_checks >= PENETRATION_CHECKS:
-            raise EndedByMonitor(
-                "penetration",
-                f"{state.deepest[0]} and {state.deepest[1]} overlap by {100.0 * state.relative_penetration:.1f} %"
-                f" of the smaller one's smallest edge, limit {100.0 * MAXIMUM_RELATIVE_PENETRATION:.0f} %",
-                self.time_s,
-            )
 
     def _look_for_rest(self, index: int, frame: PoseFrame) -> None:
         if index < self._stop_sample:
             return
         self.at_rest = self._rest.update(self.time_s, frame.positions, frame.orientations)
         self.finished = self.at_rest or index >= self._limit_sample
-
-    def _body_name(self, row: int) -> str:
-        return "pallet" if row == 0 else self.scene.packages[row - 1].id

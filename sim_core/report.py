@@ -11,7 +11,12 @@ from config.scene import Scene
 from sim_core.companion import ErrorEstimate
 from sim_core.integrity import Finding
 from sim_core.judge import EumosJudge, Verdict, corner_name, verdict_of
-from sim_core.load_test import MAXIMUM_RELATIVE_PENETRATION, MAXIMUM_SPEED_MPS
+from sim_core.monitors import (
+    MAXIMUM_ENERGY_RESIDUAL,
+    MAXIMUM_RELATIVE_PENETRATION,
+    MAXIMUM_SPEED_MPS,
+    MAXIMUM_STEP_PHASE,
+)
 from sim_core.run import PhysicsSummary
 from sim_core.sled import build_profile
 
@@ -194,7 +199,9 @@ def _numerics(
         "max_penetration_mm": 1000.0 * physics.penetration_m,
         "max_contacts": physics.contact_count,
         "solver_residual": physics.residual,
-        "energy_residual": None,
+        "energy_residual": physics.energy_residual,
+        "smallest_step_s": physics.smallest_step_s,
+        "halvings": physics.halvings,
         "settle_s": physics.settle_s,
         "simulated_s": physics.simulated_s,
         "at_rest": physics.at_rest,
@@ -209,6 +216,18 @@ def _numerics(
                 "worst": 1000.0 * physics.penetration_m,
                 "limit": 1000.0 * MAXIMUM_RELATIVE_PENETRATION * min(edges, default=0.0),
                 "unit": "mm, the limit for the thinnest body and three checks running",
+            },
+            {
+                "monitor": "stiffness",
+                "worst": physics.step_phase,
+                "limit": MAXIMUM_STEP_PHASE,
+                "unit": "rad, step times the stiffest spring's frequency",
+            },
+            {
+                "monitor": "energy",
+                "worst": physics.energy_residual,
+                "limit": MAXIMUM_ENERGY_RESIDUAL,
+                "unit": "share of the energy moved",
             },
         ],
     }

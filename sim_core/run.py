@@ -50,6 +50,10 @@ class PhysicsSummary:
         speed_mps: largest speed relative to the sled [m/s].
         residual: largest remaining solver residual, in the engine's measure.
         contact_count: largest number of contact points.
+        energy_residual: largest share of energy that appeared from nowhere.
+        step_phase: largest step times spring frequency.
+        smallest_step_s: the step in use at the end [s].
+        halvings: when and why the step was halved, in words.
         ended_by: the monitor that ended the test, with its reason, or None.
     """
 
@@ -64,6 +68,10 @@ class PhysicsSummary:
     speed_mps: float
     residual: float
     contact_count: int
+    energy_residual: float
+    step_phase: float
+    smallest_step_s: float
+    halvings: list[str]
     ended_by: str | None = None
 
 
@@ -104,6 +112,10 @@ def summarise_physics(test: LoadTest, ended_by: EndedByMonitor | None) -> Physic
         speed_mps=test.extremes.speed_mps,
         residual=test.extremes.residual,
         contact_count=test.extremes.contact_count,
+        energy_residual=test.extremes.energy_residual,
+        step_phase=test.extremes.step_phase,
+        smallest_step_s=test.smallest_step_s,
+        halvings=list(test.halvings),
         ended_by=str(ended_by) if ended_by is not None else None,
     )
 

@@ -68,6 +68,12 @@ class RigidEngine(Protocol):
     def restore(self, handle: int) -> None:
         """Returns to a kept state; what follows is bit-identical to what followed then."""
 
+    def forget(self, handle: int) -> None:
+        """Drops a kept state."""
+
+    def set_step(self, step_s: float) -> None:
+        """Steps by another time from now on [s]."""
+
     def close(self) -> None:
         """Frees the engine."""
 

@@ -208,6 +208,15 @@ class BulletEngine:
         p.restoreState(stateId=handle, physicsClientId=self._client)
         self._state = None
 
+    def forget(self, handle: int) -> None:
+        """See ``RigidEngine.forget``."""
+        p.removeState(handle, physicsClientId=self._client)
+
+    def set_step(self, step_s: float) -> None:
+        """See ``RigidEngine.set_step``."""
+        self._step_s = step_s
+        p.setPhysicsEngineParameter(fixedTimeStep=step_s, physicsClientId=self._client)
+
     def close(self) -> None:
         """See ``RigidEngine.close``."""
         if self._client >= 0:

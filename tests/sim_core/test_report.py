@@ -32,6 +32,10 @@ PHYSICS = PhysicsSummary(
     speed_mps=0.3,
     residual=1.0e-9,
     contact_count=4,
+    energy_residual=0.0,
+    step_phase=0.0,
+    smallest_step_s=1.0 / 480.0,
+    halvings=[],
 )
 RULES = ("permanent", "permanent_on_pallet", "elastic")
 

@@ -120,6 +120,10 @@ def physics(**changes: Any) -> PhysicsSummary:
         "engine": "bullet", "settings": {"erp": 0.2}, "unmet_friction": [], "steps": 960, "settle_s": 0.05,
         "simulated_s": 2.0, "at_rest": True, "penetration_m": 1.0e-4, "speed_mps": 1.0, "residual": 1.0e-6,
         "contact_count": 48,
+        "energy_residual": 0.0,
+        "step_phase": 0.0,
+        "smallest_step_s": 1.0 / 480.0,
+        "halvings": [],
     }  # fmt: skip
     return PhysicsSummary(**{**account, **changes})
 
