@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 Point3 = tuple[Finite, Finite, Finite]
-Place = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False)]
-EdgeLength = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False)]
+Place = Annotated[float, Field(ge=-100.0, le=100.0, allow_inf_nan=False, strict=True)]
+EdgeLength = Annotated[float, Field(gt=0.0, le=10.0, allow_inf_nan=False, strict=True)]
 
 
 class Package(BaseModel):
@@ -22,10 +22,8 @@ class Package(BaseModel):
     size_m: tuple[EdgeLength, EdgeLength, EdgeLength] = Field(
         description="edge lengths along the package's own x, y, z as it stands [m]"
     )
-    mass_kg: float = Field(gt=0.0, le=5000.0, allow_inf_nan=False, description="mass [kg]")
-    position_m: tuple[Place, Place, Place] = Field(
-        description="centre in frame sled [m]"
-    )
+    mass_kg: float = Field(gt=0.0, le=5000.0, allow_inf_nan=False, strict=True, description="mass [kg]")
+    position_m: tuple[Place, Place, Place] = Field(description="centre in frame sled [m]")
     yaw_deg: Finite = Field(default=0.0, description="turn about z, counter-clockwise from above [deg]")
     surface: str = Field(default="cardboard", description="surface name, for friction")
     kind: Literal["package", "interlayer"] = Field(

@@ -274,7 +274,7 @@ class Scene(Part):
 
     name: str = Field(min_length=1, max_length=80, pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")
     description: str = ""
-    load: Load = PackagesLoad()
+    load: Load
     pallet: Pallet | None = StandardPallet(kind="epal1")
     surfaces: Surfaces = Surfaces()
     sled: Sled

@@ -158,7 +158,10 @@ def _read_raw(path: Path) -> dict[str, Any]:
 
 def _scene_around(path: Path) -> dict[str, Any]:
     """The default test of a bare palletising file: 0.5 g, pallet as the file has it."""
-    name = "".join(c if c.isalnum() or c in "_-." else "_" for c in path.stem).lstrip("_-.") or "load"
+    name = (
+        "".join(c if (c.isascii() and c.isalnum()) or c in "_-." else "_" for c in path.stem).lstrip("_-.")
+        or "load"
+    )
     return {
         "name": name[:80],
         "load": {"file": path.name},
@@ -200,6 +203,8 @@ def _apply_override(raw: dict[str, Any], override: str) -> None:
     if isinstance(value, float) and not math.isfinite(value):
         raise RefusedInput(key, text, "must be a finite number")
     *parents, last = key.split(".")
+    if parents[:1] == ["pallet"] and "pallet" not in raw:
+        raw["pallet"] = {"kind": "epal1"}
     node: Any = raw
     for depth, part in enumerate(parents):
         if isinstance(node, list):
@@ -237,11 +242,17 @@ def _refusal(error: ValidationError) -> RefusedInput:
         limit = "unknown key"
     elif first["type"] == "missing":
         limit = "is required"
+    elif first["type"] == "union_tag_invalid":
+        field, limit = f"{field}.profile", f"must be one of {first['ctx']['expected_tags']}"
+    elif field == "pallet.kind":
+        limit = "must be 'epal1', 'custom' or 'file'; or pallet null"
     if ("size_m" in field or "position_m" in field) and first["type"] == "less_than_equal":
         limit += " m; is it given in millimetres?"
     if count > 1:
         limit += f" ({count - 1} more like this)" if count > 2 else " (1 more)"
     value = first["input"]
+    if first["type"] == "union_tag_invalid":
+        value = first["ctx"]["tag"]
     shown = f"{{{len(value)} keys}}" if isinstance(value, dict) else value
     if first["type"] == "missing":
         shown = "missing"
@@ -267,12 +278,19 @@ def _resolve_pattern(scene: Scene, load: FileLoad, base: Path) -> Scene:
     scene = scene.model_copy(update={"pallet": pallet})
     deck_z = scene.pallet_box.size_m[2] if scene.pallet_box is not None else 0.0
     packages = tuple(_place(package, load, deck_z) for package in pattern.packages)
+    sheets = sum(package.kind == "interlayer" for package in packages)
+    notes = pattern.notes
+    if sheets:
+        notes = (
+            *notes,
+            f"{sheets} interlayers are taken as '{load.interlayer_surface}' (load.interlayer_surface)",
+        )
     source = PatternSource(
         file=Path(load.file).name,
         format=file.format,
         sha256=file.sha256,
         pallet_number=pattern.number,
-        notes=pattern.notes,
+        notes=notes,
     )
     return validate_scene(
         {**scene.model_dump(), "load": PackagesLoad(packages=packages, source=source).model_dump()}
@@ -300,12 +318,19 @@ def _place(package: Package, load: FileLoad, deck_z: float) -> Package:
 
 
 def _check_surfaces(scene: Scene) -> None:
-    known = set(material_library().surfaces) | {
-        name for pair in scene.surfaces.pairs for name in pair.between
-    }
+    library = set(material_library().surfaces)
+    known = library | {name for pair in scene.surfaces.pairs for name in pair.between}
     limit = f"unknown material; known: {', '.join(sorted(known))}"
     for index, package in enumerate(scene.packages):
         if package.surface not in known:
             raise RefusedInput(f"load.packages.{index}.surface", package.surface, limit)
     if scene.pallet_box is not None and scene.pallet_box.surface not in known:
         raise RefusedInput("pallet.surface", scene.pallet_box.surface, limit)
+    used = {package.surface for package in scene.packages} | {"sled"}
+    if scene.pallet_box is not None:
+        used.add(scene.pallet_box.surface)
+    for index, pair in enumerate(scene.surfaces.pairs):
+        for name in pair.between:
+            if name not in library | used:
+                limit = f"nothing here has this surface; there are: {', '.join(sorted(used))}"
+                raise RefusedInput(f"surfaces.pairs.{index}", name, limit)

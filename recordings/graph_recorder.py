@@ -140,6 +140,8 @@ class GraphRecorder:
             scene = scene_from_json(self._scene_json)
             self._transforms = TransformTrack(scene)
             self._rates_hz = regular_rates_hz(scene)
+        index = self._frames
+        self._frames += topic is PACKAGES_POSES
         if self._transforms is None:
             return
         transforms = None
@@ -147,8 +149,7 @@ class GraphRecorder:
             point = _decode(topic, payload).pose.pose.position
             transforms = self._transforms.add_position(stamp_ns, (point.x, point.y, point.z))
         elif topic is PACKAGES_POSES:
-            transforms = self._transforms.add_frame(pose_frame_from_payload(payload, self._frames))
-            self._frames += 1
+            transforms = self._transforms.add_frame(pose_frame_from_payload(payload, index))
         if transforms is not None:
             self._writer.write(
                 self._names[TF],

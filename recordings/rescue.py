@@ -1,5 +1,6 @@
 """Makes an unfinished bag whole: every complete chunk of a ``.part`` file, with index and metadata."""
 
+import shutil
 from pathlib import Path
 
 from mcap.exceptions import McapError
@@ -26,7 +27,12 @@ def rescue_bag(directory: Path) -> int:
     # The broken file stays until the whole one is there.
     aside = directory.with_name(directory.name + ".broken")
     directory.rename(aside)
-    count = _copy_messages(aside / parts[0].name, directory)
+    try:
+        count = _copy_messages(aside / parts[0].name, directory)
+    except OSError:
+        shutil.rmtree(directory, ignore_errors=True)
+        aside.rename(directory)
+        raise
     for entry in aside.iterdir():
         entry.unlink()
     aside.rmdir()

@@ -51,6 +51,7 @@ def _facts(scene: Scene) -> dict[str, Any]:
         "height_m": max((p.position_m[2] + p.size_m[2] / 2.0 for p in scene.packages), default=0.0),
         "deepest_overlap_mm": 1000.0 * overlaps[0][0] if overlaps else 0.0,
         "scene_sha256": scene.sha256,
+        "notes": list(source.notes) if (source := getattr(scene.load, "source", None)) is not None else [],
         "packages": [package.model_dump() for package in scene.packages],
     }
 

@@ -1,27 +1,28 @@
 """The command line: ``pallet-twin``."""
 
 import json
-import signal
 import sys
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from config.errors import Interrupted, PalletTwinError
+from config.errors import PalletTwinError, RefusedInput
 from ros_nodes import output
 
 app = typer.Typer(
     name="pallet-twin",
     help="Digital twin of the sled bench that tests palletised loads to EUMOS 40509.\n\n"
     "Start with: pallet-twin run eur_fields_05g",
-    epilog="Exit codes: 0 it ran, whatever the verdict; 2 refused input; 3 a monitor ended it or a node died; "
-    "4 --require was not met.",
+    epilog="Exit codes: 0 it ran, whatever the verdict; 2 refused input; 3 a monitor ended it, a node died or the disk "
+    "is full; 4 --require was not met; 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+NOT_WRITTEN = 3
 
 SceneArgument = Annotated[
     str,
@@ -115,6 +116,8 @@ def up(
 
     loaded = load_scene(scene, set_ or ())
     require_integrity(loaded)
+    if record is not None and no_record:
+        raise RefusedInput("--record", str(record), "contradicts --no-record")
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_graph(
@@ -184,23 +187,20 @@ def _options(version: Annotated[bool, typer.Option("--version", help="Print the 
         raise typer.Exit
 
 
-def _interrupt(_number: int, _frame: object) -> None:
-    """Ends the command in order; a second signal doesn't disturb what is being made safe."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
-    raise Interrupted
-
-
 def main() -> None:
     """Runs the command line; every error of the family becomes one line and one exit code, here."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _interrupt)
     try:
         app()
     except PalletTwinError as error:
         print(f"pallet-twin: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except OSError as error:
+        # Input files are opened by readers that refuse them; what is left is output that cannot be written.
+        print(f"pallet-twin: {error.filename or 'output'}: {error.strerror}", file=sys.stderr)
+        sys.exit(NOT_WRITTEN)
 
 
 if __name__ == "__main__":
-    main()
+    from ros_nodes.entry import main as entry
+
+    entry()

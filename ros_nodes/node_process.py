@@ -1,5 +1,7 @@
 """What every node process shares: start, spin, clean end; matched peers; publishing ready-made bytes."""
 
+import ctypes
+import os
 import signal
 import sys
 import time
@@ -18,6 +20,8 @@ from msgs_adapters.publications import Publication
 from msgs_adapters.topics import Topic, message_class, to_rclpy
 
 SPIN_PERIOD_S = 0.05
+SUPERVISED = "PALLET_TWIN_SUPERVISED"
+PR_SET_PDEATHSIG = 1
 MATCH_TIMEOUT_S = 15.0
 ACKNOWLEDGE_TIMEOUT_S = 5.0
 
@@ -34,6 +38,7 @@ class TwinNode(LifecycleNode):  # type: ignore[misc]
         self._publishers_by_topic: dict[Topic, Any] = {}
         self.published: dict[str, int] = {}
         self.failure: str | None = None
+        self.error: PalletTwinError | None = None
         self.done = False
 
     def declare(self, name: str, default: Any, text: str, **limits: Any) -> Any:
@@ -105,6 +110,21 @@ class TwinNode(LifecycleNode):  # type: ignore[misc]
         for publisher in self._publishers_by_topic.values():
             publisher.wait_for_all_acked(Duration(seconds=ACKNOWLEDGE_TIMEOUT_S))
 
+    def set_up(self) -> bool:
+        """Makes the node's entities; False while what it needs is not there yet. Called on configure."""
+        return True
+
+    def on_configure(self, state: LifecycleState) -> Any:
+        """Sets the node up; an error of the family ends the process with its line and its code."""
+        # rclpy would swallow what a transition raises.
+        try:
+            if not self.set_up():
+                return FAILURE
+        except PalletTwinError as error:
+            self.error, self.done = error, True
+            return FAILURE
+        return super().on_configure(state)
+
     def on_stop(self) -> bool:
         """Called again and again after a signal asked the process to end; True when it may."""
         return True
@@ -124,6 +144,12 @@ class NodeFactory(Protocol):
     def __call__(self) -> TwinNode: ...
 
 
+def _end_with_parent() -> None:
+    """Has the kernel send SIGTERM when the supervisor is gone, however it went; a node started by hand stays."""
+    if os.environ.get(SUPERVISED):
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, int(signal.SIGTERM))
+
+
 def run_node(factory: NodeFactory, args: list[str] | None) -> None:
     """Runs one node as a process: SIGINT and SIGTERM end it properly, errors give one line.
 
@@ -136,6 +162,7 @@ def run_node(factory: NodeFactory, args: list[str] | None) -> None:
         stopping = True
 
     # The node ends itself, when what it holds is safe; rclpy's own handlers would end its context first.
+    _end_with_parent()
     rclpy.init(args=args, signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
     signal.signal(signal.SIGINT, ask_to_stop)
     signal.signal(signal.SIGTERM, ask_to_stop)
@@ -147,6 +174,8 @@ def run_node(factory: NodeFactory, args: list[str] | None) -> None:
         # EventsExecutor.spin() delivers nothing in rclpy 7.1 and ignores signals: spin_once in a loop.
         while not node.done and not (stopping and node.on_stop()):
             executor.spin_once(timeout_sec=SPIN_PERIOD_S)
+        if node.error is not None:
+            raise node.error
     except PalletTwinError as error:
         print(f"{node.get_name() if node else 'node'}: {error}", file=sys.stderr, flush=True)
         code = error.exit_code

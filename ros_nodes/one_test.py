@@ -1,5 +1,6 @@
 """One test from a scene to a folder with report, page and bag, in one process or as a node graph."""
 
+import itertools
 import json
 import shutil
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from sim_core.integrity import require_integrity
 from sim_core.report import Report, full_report, judgement, report_json, worst_by_rule, write_report
 from sim_core.run import run_test
 
+RESULT_NAMES = {"bag", "report.json", "report.html", "report.json.part", "report.html.part"}
 OnProgress = Callable[[float, dict[str, str]], None]
 
 
@@ -55,22 +57,12 @@ def make_folder(
     Raises:
         RefusedInput: the folder exists and is not empty, or cannot be made.
     """
-    folder = out if out is not None else _free_folder(Path("runs") / scene.name)
     try:
-        if folder.exists() and not folder.is_dir():
-            raise RefusedInput("--out", str(folder), "must be a folder")
-        if folder.is_dir() and any(folder.iterdir()):
-            if not overwrite:
-                raise RefusedInput("--out", str(folder), "is not empty; choose another, or add --overwrite")
-            if not (folder / "report.json").exists():
-                raise RefusedInput(
-                    "--out", str(folder), "holds no earlier test; --overwrite touches nothing else"
-                )
-            for name in ("bag", "report.json", "report.html"):
-                _remove(folder / name)
-        folder.mkdir(parents=True, exist_ok=True)
+        if bag is not None and (bag.is_file() or (bag.is_dir() and any(bag.iterdir()))):
+            raise RefusedInput("--record", str(bag), "must be a new or an empty folder")
+        folder = _claim(out, overwrite) if out is not None else _claim_free(Path("runs") / scene.name)
     except OSError as error:
-        raise RefusedInput("--out", str(folder), error.strerror or "cannot be made") from None
+        raise RefusedInput("--out", str(out or "runs"), error.strerror or "cannot be made") from None
     where = bag if bag is not None else folder / "bag"
     return TestFolder(folder, folder / "report.json", folder / "report.html", where if with_bag else None)
 
@@ -131,7 +123,12 @@ def run_graph(
     judged = json.loads(result.judgement_json)
     estimate: ErrorEstimate | None = None
     if with_estimate and scene.packages and result.ended_by is None:
-        estimate = Companion(scene).estimate(worst_by_rule(judged))
+        companion = Companion(scene)
+        try:
+            estimate = companion.estimate(worst_by_rule(judged))
+        except BaseException:
+            companion.cancel()
+            raise
     report = full_report(
         judged, scene, physics=result.physics, findings=findings, estimate=estimate, wall_s=result.wall_s,
         mode=f"up {pace}",
@@ -149,12 +146,33 @@ def _write(report: Report, scene: Scene, where: TestFolder) -> None:
     write_report_html(report, scene, where.page)
 
 
-def _free_folder(wanted: Path) -> Path:
-    number, folder = 1, wanted
-    while folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        number += 1
-        folder = wanted.with_name(f"{wanted.name}-{number}")
+def _claim(folder: Path, overwrite: bool) -> Path:
+    if folder.exists() and not folder.is_dir():
+        raise RefusedInput("--out", str(folder), "must be a folder")
+    found = {entry.name for entry in folder.iterdir()} if folder.is_dir() else set()
+    if found and not overwrite:
+        raise RefusedInput("--out", str(folder), "is not empty; choose another, or add --overwrite")
+    if found - RESULT_NAMES:
+        raise RefusedInput(
+            "--out", str(folder), f"holds more than an earlier test: {sorted(found - RESULT_NAMES)[0]}"
+        )
+    for name in found:
+        _remove(folder / name)
+    folder.mkdir(parents=True, exist_ok=True)
     return folder
+
+
+def _claim_free(wanted: Path) -> Path:
+    """The first of ``wanted``, ``wanted-2`` and so on that nobody else has; making it is what claims it."""
+    wanted.parent.mkdir(parents=True, exist_ok=True)
+    for number in itertools.count(1):
+        folder = wanted if number == 1 else wanted.with_name(f"{wanted.name}-{number}")
+        try:
+            folder.mkdir()
+        except FileExistsError:
+            continue
+        return folder
+    raise AssertionError("counting never ends")
 
 
 def _remove(path: Path) -> None:

@@ -130,6 +130,8 @@ def show_check(findings: Sequence[Finding], facts: Mapping[str, Any], *, as_json
 def _show_numerics(numerics: Mapping[str, Any]) -> None:
     error = numerics["error_estimate_mm"]
     estimate = f"error estimate {error:.2f} mm" if error is not None else "no error estimate"
+    if numerics["within_tolerance"] is False:
+        estimate += f", above the tolerance of {numerics['tolerance_mm']:g} mm"
     print(
         f"{estimate} ({numerics['error_estimate_from']}); engine {numerics['engine']},"
         f" step {1000.0 * numerics['time_step_s']:.3f} ms x {numerics['iterations']} iterations;"

@@ -55,7 +55,7 @@ class PhysicsNode(TwinNode):
         self._first_ns = 0
         self._over = False
 
-    def on_configure(self, state: LifecycleState) -> Any:
+    def set_up(self) -> bool:
         """Builds the load and opens the topics."""
         try:
             text = Path(self._scene_file).read_text(encoding="utf-8")
@@ -73,7 +73,7 @@ class PhysicsNode(TwinNode):
         ):
             self.open_topic(topic)
         self.listen(SLED_ACCELERATION, self._take_sample)
-        return super().on_configure(state)
+        return True
 
     def on_activate(self, state: LifecycleState) -> Any:
         """Sends the scene and waits for the samples."""

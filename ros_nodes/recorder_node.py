@@ -7,7 +7,7 @@ from typing import Any
 from config.errors import RefusedInput
 from msgs_adapters.topics import ALL_TOPICS, TF, Topic
 from recordings.graph_recorder import GraphRecorder
-from ros_nodes.node_process import LifecycleState, TwinNode, run_node
+from ros_nodes.node_process import TwinNode, run_node
 
 QUIET_FOR_S = 0.3
 DRAIN_LIMIT_S = 10.0
@@ -28,7 +28,7 @@ class RecorderNode(TwinNode):
         self._recorder: GraphRecorder | None = None
         self._asked_to_end: float | None = None
 
-    def on_configure(self, state: LifecycleState) -> Any:
+    def set_up(self) -> bool:
         """Opens the bag and subscribes."""
         if not self._directory:
             raise RefusedInput("bag", "empty", "name a directory")
@@ -41,7 +41,7 @@ class RecorderNode(TwinNode):
         self._recorder = GraphRecorder(Path(self._directory), topics, namespace=self.get_namespace())
         for topic in topics:
             self.listen(topic, self._taker(topic), raw=True)
-        return super().on_configure(state)
+        return True
 
     def on_stop(self) -> bool:
         """True once nothing has arrived for a while."""

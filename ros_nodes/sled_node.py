@@ -61,13 +61,13 @@ class SledNode(TwinNode):
         self.listen(SCENE, self._take_scene)
         self.listen(PHYSICS_PROGRESS, self._take_progress)
 
-    def on_configure(self, state: LifecycleState) -> Any:
+    def set_up(self) -> bool:
         """Opens the topics that the scene needs; refused until the scene is there."""
         if self._scene is None:
-            return FAILURE
+            return False
         for topic in sled_topics(self._scene):
             self.open_topic(topic)
-        return super().on_configure(state)
+        return True
 
     def on_activate(self, state: LifecycleState) -> Any:
         """Starts the sled once every reader is matched."""

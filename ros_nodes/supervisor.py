@@ -16,6 +16,7 @@ from typing import Any, Literal
 from config.errors import EndedByMonitor, NodeDied, PalletTwinError, RefusedInput
 from config.scene import Scene
 from recordings.test_bag import recorded_topics
+from ros_nodes.node_process import SUPERVISED
 from ros_nodes.readers import readers_text
 from sim_core.run import PhysicsSummary
 
@@ -25,6 +26,8 @@ RECORDER_END_TIMEOUT_S = 15.0
 NODE_END_TIMEOUT_S = 5.0
 SILENCE_LIMIT_S = 60.0
 POLL_S = 0.02
+TWIN_NODES = {"supervisor", "sled_node", "physics_node", "validator_node", "recorder_node"}
+DISCOVERY_S = 0.8
 
 
 @dataclass
@@ -116,6 +119,7 @@ class Supervisor:
         with tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
             try:
                 self._connect()
+                self._require_empty_domain()
                 self._start(Path(folder))
                 self._bring_up()
                 self._follow()
@@ -146,6 +150,17 @@ class Supervisor:
                 message_class(topic.type_name), topic.name, callback, to_rclpy(topic.qos)
             )
 
+    def _require_empty_domain(self) -> None:
+        """Refuses a domain in which another twin runs: the two would drive each other's nodes."""
+        until = time.monotonic() + DISCOVERY_S
+        while time.monotonic() < until:
+            self._executor.spin_once(timeout_sec=POLL_S)
+        nodes = self._node.get_node_names_and_namespaces()
+        found = [name for name, space in nodes if space == NAMESPACE and name in TWIN_NODES]
+        if len(found) > 1:
+            domain = os.environ.get("ROS_DOMAIN_ID", "0")
+            raise RefusedInput("ROS_DOMAIN_ID", domain, "another twin runs there; set another domain, or wait")
+
     def _start(self, folder: Path) -> None:
         scene_file = folder / "scene.json"
         scene_file.write_text(self.scene.to_json(), encoding="utf-8")
@@ -154,11 +169,12 @@ class Supervisor:
             log = folder / f"{name}.log"
             arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", defaults]
             for key, value in parameters.items():
-                arguments += ["-p", f"{key}:={json.dumps(value)}"]
+                arguments += ["-p", f"{key}:={json.dumps(value, ensure_ascii=False)}"]
             with log.open("wb") as stream:
                 process = subprocess.Popen(
                     [sys.executable, "-P", "-m", f"ros_nodes.{name}", *arguments],
                     stdin=subprocess.DEVNULL,
+                    env={**os.environ, SUPERVISED: "1"},
                     stdout=stream,
                     stderr=subprocess.STDOUT,
                     # Ctrl-C reaches the supervisor alone, which then ends the nodes in order.
@@ -234,14 +250,11 @@ class Supervisor:
     def _follow(self) -> None:
         """Spins until the report is there."""
         self._heard = time.monotonic()
-        while self._report is None:
+        while self._report is None or self._final is None:
             self._executor.spin_once(timeout_sec=POLL_S)
             self._watch()
             if time.monotonic() - self._heard > SILENCE_LIMIT_S:
                 raise NodeDied("physics_node", f"no progress for {SILENCE_LIMIT_S:.0f} s")
-        while self._final is None:
-            self._executor.spin_once(timeout_sec=POLL_S)
-            self._watch()
 
     def _watch(self) -> None:
         """Raises when a node is gone."""

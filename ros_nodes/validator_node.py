@@ -29,19 +29,20 @@ class ValidatorNode(TwinNode):
         )
         self._scene: Scene | None = None
         self._judge: EumosJudge | None = None
+        self._early: list[bytes] = []
         self._last_ns = 0
         self._frames_at_end: int | None = None
         self._is_complete = True
         self._status_sent = False
 
-    def on_configure(self, state: LifecycleState) -> Any:
+    def set_up(self) -> bool:
         """Opens the topics; the judge is made when the scene arrives."""
         self.open_topic(EUMOS_STATUS)
         self.open_topic(EUMOS_REPORT)
         self.listen(SCENE, self._take_scene)
         self.listen(PACKAGES_POSES, self._take_poses, raw=True)
         self.listen(PHYSICS_PROGRESS, self._take_progress)
-        return super().on_configure(state)
+        return True
 
     def on_activate(self, state: LifecycleState) -> Any:
         """Waits for its readers."""
@@ -59,10 +60,14 @@ class ValidatorNode(TwinNode):
         if self._scene is None:
             self._scene = scene_from_json(message.data)
             self._judge = EumosJudge(self._scene)
+            early, self._early = self._early, []
+            for payload in early:
+                self._take_poses(payload)
 
     def _take_poses(self, payload: bytes) -> None:
         if self._judge is None or self._scene is None:
-            self.fail("poses came before the scene")
+            # Two topics have no order between them: the scene may overtake its poses or not.
+            self._early.append(payload)
             return
         frame = pose_frame_from_payload(payload, self._judge.frame_count)
         self._judge.add(frame)

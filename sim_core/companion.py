@@ -1,10 +1,10 @@
 """The error estimate: the same test at another step, in a process of its own, beside the real one.
 
-The companion takes twice the step (half of it where twice does not fit the frames). With an error of first
-order or better, the difference of a quantity between steps 2h and h is the error at h or more. Below a few
+The companion takes twice the step; half of it, and the difference doubled, where twice does not fit the
+frames or does not let the load settle. With an error of first order or better, that is the error or more. Below a few
 hundredths of a millimetre that no longer holds: sticking and slipping begin and end on the grid of the steps,
 which makes an error that jumps from step to step; so the estimate has a floor.
-Companions run as ``python -m sim_core.companion`` with the scene on standard input.
+Companions run as ``python -m sim_core.companion`` with the scenes to try on standard input.
 """
 
 import json
@@ -43,8 +43,9 @@ class ErrorEstimate:
     worst_until_problem_mm: Mapping[str, float] = field(default_factory=dict)
 
 
-def companion_scene(scene: Scene) -> Scene:
-    """The scene at twice its step, or half of it where twice does not fit between the frames."""
+def companion_scenes(scene: Scene) -> list[Scene]:
+    """The scene at twice its step, where that fits between the frames, and at half of it."""
+    candidates = []
     for factor in (2.0, 0.5):
         solver = scene.solver.model_copy(
             update={"time_step_s": factor * scene.time_step_s, "iterations": scene.iterations}
@@ -54,8 +55,8 @@ def companion_scene(scene: Scene) -> Scene:
             candidate.steps_and_samples()
         except ValueError:
             continue
-        return candidate
-    raise AssertionError("half of a step that fits always fits")
+        candidates.append(candidate)
+    return candidates
 
 
 class Companion:
@@ -66,7 +67,7 @@ class Companion:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._scene = companion_scene(scene)
+        self._step_s = scene.time_step_s
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "sim_core.companion"],
             stdin=subprocess.PIPE,
@@ -77,7 +78,7 @@ class Companion:
             start_new_session=True,
         )
         assert self._process.stdin is not None
-        self._process.stdin.write(self._scene.to_json())
+        self._process.stdin.write("\n".join(found.to_json() for found in companion_scenes(scene)))
         self._process.stdin.close()
 
     def estimate(self, worst_mm: Mapping[str, float]) -> ErrorEstimate:
@@ -90,19 +91,19 @@ class Companion:
         with self._process.stdout as stream:
             answer = stream.read()
         self._process.wait()
-        step_s = self._scene.time_step_s
         try:
             companion = json.loads(answer)
         except json.JSONDecodeError:
-            companion = {
-                "worst_mm": {},
-                "problem": f"the companion run ended with code {self._process.returncode}",
-            }
+            problem = f"the companion run ended with code {self._process.returncode}"
+            companion = {"worst_mm": {}, "step_s": 2.0 * self._step_s, "problem": problem}
+        step_s: float = companion["step_s"]
         companions: dict[str, float] = companion["worst_mm"]
         if companion["problem"] is not None:
             return ErrorEstimate(step_s, {}, None, companion["problem"], companions)
+        # Half the step has half the error or less: it differs by half of the error or more.
+        factor = 1.0 if step_s > self._step_s else 2.0
         differences = {
-            rule: max(abs(worst - companions[rule]), FLOOR_MM)
+            rule: max(factor * abs(worst - companions[rule]), FLOOR_MM)
             for rule, worst in worst_mm.items()
             if rule in companions
         }
@@ -116,7 +117,8 @@ class Companion:
         self._process.wait()
 
 
-def _answer(scene: Scene) -> dict[str, object]:
+def _answer(scene: Scene) -> tuple[dict[str, object], bool]:
+    """What the companion has to say, and whether its load settled."""
     test, judge = LoadTest(scene), EumosJudge(scene)
     problem = None
     try:
@@ -131,15 +133,21 @@ def _answer(scene: Scene) -> dict[str, object]:
     finally:
         test.close()
     rules = judge.rules() if judge.frame_count else []
-    return {"worst_mm": {r.rule: r.worst_mm for r in rules if r.worst_mm is not None}, "problem": problem}
+    worst = {rule.rule: rule.worst_mm for rule in rules if rule.worst_mm is not None}
+    return {"worst_mm": worst, "step_s": scene.time_step_s, "problem": problem}, judge.frame_count > 0
 
 
 def main() -> None:
-    """Reads a resolved scene from standard input and prints the companion's answer as JSON."""
-    try:
-        answer = _answer(scene_from_json(sys.stdin.read()))
-    except PalletTwinError as error:
-        answer = {"worst_mm": {}, "problem": str(error)}
+    """Reads resolved scenes, a line each, and prints the answer of the first whose load settles, as JSON."""
+    answer: dict[str, object] = {}
+    for line in sys.stdin.read().splitlines():
+        scene = scene_from_json(line)
+        try:
+            answer, is_settled = _answer(scene)
+        except PalletTwinError as error:
+            answer, is_settled = {"worst_mm": {}, "step_s": scene.time_step_s, "problem": str(error)}, True
+        if is_settled:
+            break
     print(json.dumps(answer))
 
 

@@ -22,8 +22,8 @@ DENSITY_RANGE = (5.0, 8000.0)
 """Plausible density of a package [kg/m³]: lighter than foam chips or heavier than steel is a slip of units."""
 EDGE_RANGE_M = (0.005, 3.0)
 SUPPORT_SHARE = 0.5
-PLATFORM_HALF_M = 9.0
-"""The sled's platform is modelled 20 m wide, so that nothing slides off it."""
+PLATFORM_HALF_M = 50.0
+"""The sled's platform is modelled 200 m wide, so that nothing slides off it."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ BAND_COUNT = 6
 TOPPLED_TILT_DEG = 45.0
 # Corners that share an edge or a face can be equally far out; the lowest number then wins, not rounding.
 TIE_M = 1.0e-9
+SAME_LAYER_M = 5.0e-3
 
 
 @dataclass(frozen=True)
@@ -83,7 +84,7 @@ class EumosJudge:
         self._names = ["pallet"] + [package.id for package in scene.packages]
         self._half_sizes = 0.5 * np.array(sizes + [package.size_m for package in scene.packages])
         self._deck_m = pallet.size_m[2] if pallet is not None else 0.0
-        self._layers = np.array([0] + [package.layer or 0 for package in scene.packages])
+        self._layers = _layer_numbers(scene)
         self.frame_count = 0
         self._layer_peak = 0.0
         self._band_masks: list[NDArray[np.bool_]] = []
@@ -272,6 +273,17 @@ class EumosJudge:
         up = rotation_matrices(self._newest.orientations)[:, 2, 2]
         tilts: Array = np.degrees(np.arccos(np.clip(up, -1.0, 1.0)))
         return tilts
+
+
+def _layer_numbers(scene: Scene) -> NDArray[np.int64]:
+    """Layer of every row, from 1; 0 for the pallet. Where a package names none, all go by their bottoms' heights."""
+    if all(package.layer is not None for package in scene.packages):
+        return np.array([0] + [package.layer or 0 for package in scene.packages])
+    bottoms = np.array([package.position_m[2] - package.size_m[2] / 2.0 for package in scene.packages])
+    ordered = np.sort(bottoms)
+    starts = ordered[np.concatenate([[True], np.diff(ordered) > SAME_LAYER_M])]
+    layers: NDArray[np.int64] = np.concatenate([[0], np.searchsorted(starts, bottoms + SAME_LAYER_M / 2.0)])
+    return layers
 
 
 def verdict_of(rules: list[RuleState]) -> Verdict:

@@ -32,7 +32,7 @@ p = _import_pybullet()
 
 Triple = tuple[float, float, float]
 
-SLED_SIZE_M = (20.0, 20.0, 1.0)
+SLED_SIZE_M = (200.0, 200.0, 1.0)
 
 
 class BulletEngine:

@@ -70,7 +70,7 @@ REFUSED: list[tuple[Any, str, str]] = [
     (sled(direction="up"), "sled.direction", r"'\+x', '-x', '\+y' or '-y'"),
     (sled(direction=361.0), "sled.direction", "'-y'"),
     (sled(level=0.5), "sled.level = 0.5", "unknown key"),
-    (raw(sled={"profile": "sine"}), "sled = {1 keys}", "'eumos', 'table', 'recorded'"),
+    (raw(sled={"profile": "sine"}), "sled.profile = sine", "'eumos', 'table', 'recorded'"),
     (table([0, 1], [1]), "sled.acceleration_mps2", "at least 2"),
     (table([0, 1, 2], [1, 1]), "sled = {3 keys}", "3 points and acceleration_mps2 2"),
     (table([1, 0], [1, 1]), "sled = {3 keys}", "never fall"),
@@ -317,7 +317,7 @@ def test_the_schema_is_json_and_lists_the_parts() -> None:
         "name", "description", "load", "pallet", "surfaces", "sled", "force_fields", "accelerometer", "limits",
         "sampling", "solver", "seed",
     }  # fmt: skip
-    assert set(schema["required"]) == {"name", "sled"}
+    assert set(schema["required"]) == {"name", "load", "sled"}
     assert schema["additionalProperties"] is False
     definitions = schema["$defs"]
     assert {"PackagesLoad", "FileLoad", "Package", "EumosSled", "TableSled", "RecordedSled"} <= set(

@@ -379,9 +379,17 @@ def test_frictions_come_from_the_scene_before_the_library() -> None:
     library = {("cardboard",): 0.5, ("cardboard", "sled"): 0.5, ("cardboard", "wood"): 0.5}
     assert table_of() == library
     own = {
-        "pairs": [{"between": ["wood", "cardboard"], "friction": 0.2}, {"between": ["x", "y"], "friction": 9}]
+        "pairs": [
+            {"between": ["wood", "cardboard"], "friction": 0.2},
+            {"between": ["steel", "plastic"], "friction": 9},
+        ]
     }
     assert table_of(surfaces=own) == {**library, ("cardboard", "wood"): 0.2}
+
+
+def test_a_surface_that_nothing_has_is_taken_for_a_slip_of_the_pen() -> None:
+    with pytest.raises(RefusedInput, match=r"surfaces\.pairs\.0 = cardbord: nothing here has this surface"):
+        table_of(surfaces={"pairs": [{"between": ["cardbord", "cardboard"], "friction": 0.45}]})
 
 
 def test_only_a_pallet_that_can_slide_needs_friction_on_the_sled() -> None:

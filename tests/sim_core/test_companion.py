@@ -8,7 +8,7 @@ import pytest
 
 from config.scene import Scene
 from config.scene_file import find_scene, read_scene
-from sim_core.companion import FLOOR_MM, Companion, companion_scene
+from sim_core.companion import FLOOR_MM, Companion, companion_scenes
 from sim_core.report import judgement, worst_by_rule
 from sim_core.run import run_test
 
@@ -24,7 +24,7 @@ def worst(scene: Scene) -> dict[str, float]:
 def test_the_estimate_is_the_difference_to_the_doubled_step(name: str) -> None:
     scene = read_scene(find_scene(name))
     companion = Companion(scene)
-    real, doubled = worst(scene), worst(companion_scene(scene))
+    real, doubled = worst(scene), worst(companion_scenes(scene)[0])
     estimate = companion.estimate(real)
     assert estimate.problem is None
     assert estimate.companion_step_s == 2.0 * scene.time_step_s
@@ -47,7 +47,7 @@ def test_the_estimate_is_the_difference_to_the_doubled_step(name: str) -> None:
 )
 def test_the_companions_step(make_scene: MakeScene, box: Box, parts: dict[str, Any], factor: float) -> None:
     scene = make_scene(box("a"), **parts)
-    other = companion_scene(scene)
+    other = companion_scenes(scene)[0]
     assert other.time_step_s == pytest.approx(factor * scene.time_step_s, rel=1.0e-12)
     assert other.iterations == scene.iterations
     assert other.model_copy(update={"solver": scene.solver}) == scene
