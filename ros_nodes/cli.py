@@ -2,6 +2,7 @@
 
 import json
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -64,6 +65,10 @@ def run(
     set_: SetOption = None,
     bag: Annotated[bool, typer.Option("--bag/--no-bag", help="Record an MCAP bag.")] = True,
     estimate: EstimateOption = True,
+    cross_check: Annotated[
+        bool,
+        typer.Option("--cross-check", help="Run it on the other engine too, and say whether the two agree."),
+    ] = False,
     overwrite: OverwriteOption = False,
     require: RequireOption = None,
     as_json: JsonOption = False,
@@ -78,9 +83,13 @@ def run(
 
     loaded = load_scene(scene, set_ or ())
     require_integrity(loaded)
+    if cross_check and find_spec("mujoco") is None:
+        raise RefusedInput("--cross-check", "mujoco", "is not installed: pip install 'pallet-twin[mujoco]'")
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag)
     with output.progress(loaded, quiet=as_json) as on_progress:
-        outcome = run_headless(loaded, where, with_estimate=estimate, on_progress=on_progress)
+        outcome = run_headless(
+            loaded, where, with_estimate=estimate, cross_check=cross_check, on_progress=on_progress
+        )
     output.finish(outcome, as_json=as_json, require=require)
 
 

@@ -10,7 +10,7 @@ from typing import Literal
 
 from config.errors import EndedByMonitor, RefusedInput
 from config.scene import Scene
-from sim_core.companion import Companion, ErrorEstimate
+from sim_core.companion import Companion, CrossCheck, ErrorEstimate
 from sim_core.integrity import require_integrity
 from sim_core.report import Report, full_report, judgement, report_json, worst_by_rule, write_report
 from sim_core.run import run_test
@@ -68,7 +68,12 @@ def make_folder(
 
 
 def run_headless(
-    scene: Scene, where: TestFolder, *, with_estimate: bool, on_progress: OnProgress | None = None
+    scene: Scene,
+    where: TestFolder,
+    *,
+    with_estimate: bool,
+    cross_check: bool = False,
+    on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test in this process.
 
@@ -76,6 +81,8 @@ def run_headless(
         RefusedInput: the load fails its integrity check.
     """
     companion = Companion(scene) if with_estimate and scene.packages else None
+    other = CrossCheck(scene) if cross_check and scene.packages else None
+    checked = None
     try:
         if where.bag is None:
             result = run_test(scene, on_progress=on_progress)
@@ -88,14 +95,19 @@ def run_headless(
                 judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
                 bag.finish(report_json(judged, compact=True))
         estimate = companion.estimate(worst_by_rule(judged)) if companion is not None else None
+        if other is not None:
+            checked = other.compare(judged["rules"])
     except BaseException:
-        if companion is not None:
-            companion.cancel()
+        for beside in (companion, other):
+            if beside is not None:
+                beside.cancel()
         raise
     report = full_report(
         judged, scene, physics=result.physics, findings=result.findings, estimate=estimate,
         wall_s=result.wall_s, mode="run",
     )  # fmt: skip
+    if checked is not None:
+        report["cross_check"] = checked
     _write(report, scene, where)
     return TestOutcome(report, where, result.ended_by)
 

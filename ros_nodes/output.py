@@ -61,6 +61,8 @@ def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
     else:
         show_rules(outcome.report)
         _show_numerics(outcome.report["numerics"])
+        if "cross_check" in outcome.report:
+            _show_cross_check(outcome.report["cross_check"])
         for name, path in paths.items():
             if path is not None:
                 print(f"{name:7} {path}")
@@ -142,6 +144,18 @@ def _show_numerics(numerics: Mapping[str, Any]) -> None:
         print(f"friction not met: {line}")
     if "pace" in numerics:
         print(numerics["pace"])
+
+
+def _show_cross_check(check: Mapping[str, Any]) -> None:
+    if check["problem"] is not None:
+        print(f"cross-check: {check['engine']} gave no answer: {check['problem']}")
+        return
+    worst = ", ".join(
+        f"{entry['rule'].replace('_', ' ')} {entry['worst_mm']:.1f} mm"
+        for entry in check["rules"]
+        if entry["worst_mm"] is not None
+    )
+    print(f"cross-check: {check['engine']} {'agrees' if check['agrees'] else 'DISAGREES'}: {worst}")
 
 
 def _where(rule: Mapping[str, Any]) -> str:

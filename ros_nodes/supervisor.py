@@ -159,7 +159,9 @@ class Supervisor:
         found = [name for name, space in nodes if space == NAMESPACE and name in TWIN_NODES]
         if len(found) > 1:
             domain = os.environ.get("ROS_DOMAIN_ID", "0")
-            raise RefusedInput("ROS_DOMAIN_ID", domain, "another twin runs there; set another domain, or wait")
+            raise RefusedInput(
+                "ROS_DOMAIN_ID", domain, "another twin runs there; set another domain, or wait"
+            )
 
     def _start(self, folder: Path) -> None:
         scene_file = folder / "scene.json"

@@ -1,4 +1,4 @@
-"""The error estimate: the same test at another step, in a process of its own, beside the real one.
+"""Second opinions: the same test at another step or on another engine, in a process of its own.
 
 The companion takes twice the step; half of it, and the difference doubled, where twice does not fit the
 frames or does not let the load settle. With an error of first order or better, that is the error or more. Below a few
@@ -10,11 +10,12 @@ Companions run as ``python -m sim_core.companion`` with the scenes to try on sta
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
 
 from config.errors import EndedByMonitor, PalletTwinError
-from config.scene import Scene
+from config.scene import Scene, Solver
 from config.scene_file import scene_from_json
 from sim_core.judge import EumosJudge
 from sim_core.load_test import LoadTest
@@ -43,6 +44,23 @@ class ErrorEstimate:
     worst_until_problem_mm: Mapping[str, float] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class Answer:
+    """What a test in the background came to.
+
+    Attributes:
+        worst_mm: worst displacement by rule [mm].
+        states: state by rule.
+        step_s: its time step [s].
+        problem: what ended it early, or None.
+    """
+
+    worst_mm: dict[str, float]
+    states: dict[str, str]
+    step_s: float
+    problem: str | None
+
+
 def companion_scenes(scene: Scene) -> list[Scene]:
     """The scene at twice its step, where that fits between the frames, and at half of it."""
     candidates = []
@@ -59,8 +77,48 @@ def companion_scenes(scene: Scene) -> list[Scene]:
     return candidates
 
 
-class Companion:
-    """A companion run in the background.
+class BackgroundTest:
+    """One test in a process of its own, without recording.
+
+    Args:
+        scenes: resolved scenes to try in turn; the first whose load settles is the answer.
+    """
+
+    def __init__(self, scenes: Sequence[Scene]) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "sim_core.companion"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+            # Ctrl-C is for the run in front; it stops its companions itself.
+            start_new_session=True,
+        )
+        assert self._process.stdin is not None
+        self._process.stdin.write("\n".join(scene.to_json() for scene in scenes))
+        self._process.stdin.close()
+
+    def answer(self) -> Answer:
+        """Waits for the test's end."""
+        assert self._process.stdout is not None
+        with self._process.stdout as stream:
+            text = stream.read()
+        self._process.wait()
+        try:
+            return Answer(**json.loads(text))
+        except (json.JSONDecodeError, TypeError):
+            return Answer({}, {}, 0.0, f"the run beside this one ended with code {self._process.returncode}")
+
+    def cancel(self) -> None:
+        """Ends the test without waiting for its answer."""
+        assert self._process.stdout is not None
+        self._process.stdout.close()
+        self._process.kill()
+        self._process.wait()
+
+
+class Companion(BackgroundTest):
+    """A companion run for the error estimate.
 
     Args:
         scene: the resolved scene of the real run.
@@ -68,18 +126,7 @@ class Companion:
 
     def __init__(self, scene: Scene) -> None:
         self._step_s = scene.time_step_s
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "sim_core.companion"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            # Ctrl-C is for the run in front; it stops its companion itself.
-            start_new_session=True,
-        )
-        assert self._process.stdin is not None
-        self._process.stdin.write("\n".join(found.to_json() for found in companion_scenes(scene)))
-        self._process.stdin.close()
+        super().__init__(companion_scenes(scene))
 
     def estimate(self, worst_mm: Mapping[str, float]) -> ErrorEstimate:
         """Waits for the companion and compares it with the real run.
@@ -87,38 +134,58 @@ class Companion:
         Args:
             worst_mm: the real run's worst displacement by rule [mm].
         """
-        assert self._process.stdout is not None
-        with self._process.stdout as stream:
-            answer = stream.read()
-        self._process.wait()
-        try:
-            companion = json.loads(answer)
-        except json.JSONDecodeError:
-            problem = f"the companion run ended with code {self._process.returncode}"
-            companion = {"worst_mm": {}, "step_s": 2.0 * self._step_s, "problem": problem}
-        step_s: float = companion["step_s"]
-        companions: dict[str, float] = companion["worst_mm"]
-        if companion["problem"] is not None:
-            return ErrorEstimate(step_s, {}, None, companion["problem"], companions)
+        answer = self.answer()
+        if answer.problem is not None:
+            return ErrorEstimate(answer.step_s, {}, None, answer.problem, answer.worst_mm)
         # Half the step has half the error or less: it differs by half of the error or more.
-        factor = 1.0 if step_s > self._step_s else 2.0
+        factor = 1.0 if answer.step_s > self._step_s else 2.0
         differences = {
-            rule: max(factor * abs(worst - companions[rule]), FLOOR_MM)
+            rule: max(factor * abs(worst - answer.worst_mm[rule]), FLOOR_MM)
             for rule, worst in worst_mm.items()
-            if rule in companions
+            if rule in answer.worst_mm
         }
-        return ErrorEstimate(step_s, differences, max(differences.values(), default=0.0))
-
-    def cancel(self) -> None:
-        """Ends the companion without waiting for its answer."""
-        assert self._process.stdout is not None
-        self._process.stdout.close()
-        self._process.kill()
-        self._process.wait()
+        return ErrorEstimate(answer.step_s, differences, max(differences.values(), default=0.0))
 
 
-def _answer(scene: Scene) -> tuple[dict[str, object], bool]:
-    """What the companion has to say, and whether its load settled."""
+class CrossCheck(BackgroundTest):
+    """The same test on the other engine, at its default setting.
+
+    Args:
+        scene: the resolved scene of the real run.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._engine: Literal["bullet", "mujoco"] = "mujoco" if scene.solver.engine == "bullet" else "bullet"
+        solver = Solver(engine=self._engine, tolerance_mm=scene.solver.tolerance_mm)
+        super().__init__([scene.model_copy(update={"solver": solver})])
+
+    def compare(self, rules: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Waits for the other engine and says rule by rule whether the two agree.
+
+        Args:
+            rules: the real run's rule entries, as in a report.
+        """
+        answer = self.answer()
+        compared = [
+            {
+                "rule": rule["rule"],
+                "state": answer.states.get(rule["rule"]),
+                "worst_mm": answer.worst_mm.get(rule["rule"]),
+                "agrees": answer.states.get(rule["rule"]) == rule["state"],
+            }
+            for rule in rules
+        ]
+        return {
+            "engine": self._engine,
+            "time_step_s": answer.step_s,
+            "problem": answer.problem,
+            "agrees": answer.problem is None and all(entry["agrees"] for entry in compared),
+            "rules": compared,
+        }
+
+
+def _answer(scene: Scene) -> tuple[Answer, bool]:
+    """What a test comes to, and whether its load settled."""
     test, judge = LoadTest(scene), EumosJudge(scene)
     problem = None
     try:
@@ -134,21 +201,22 @@ def _answer(scene: Scene) -> tuple[dict[str, object], bool]:
         test.close()
     rules = judge.rules() if judge.frame_count else []
     worst = {rule.rule: rule.worst_mm for rule in rules if rule.worst_mm is not None}
-    return {"worst_mm": worst, "step_s": scene.time_step_s, "problem": problem}, judge.frame_count > 0
+    states: dict[str, str] = {rule.rule: rule.state for rule in rules}
+    return Answer(worst, states, scene.time_step_s, problem), judge.frame_count > 0
 
 
 def main() -> None:
     """Reads resolved scenes, a line each, and prints the answer of the first whose load settles, as JSON."""
-    answer: dict[str, object] = {}
+    answer = Answer({}, {}, 0.0, "no scene was given")
     for line in sys.stdin.read().splitlines():
         scene = scene_from_json(line)
         try:
             answer, is_settled = _answer(scene)
         except PalletTwinError as error:
-            answer, is_settled = {"worst_mm": {}, "step_s": scene.time_step_s, "problem": str(error)}, True
+            answer, is_settled = Answer({}, {}, scene.time_step_s, str(error)), True
         if is_settled:
             break
-    print(json.dumps(answer))
+    print(json.dumps(asdict(answer)))
 
 
 if __name__ == "__main__":

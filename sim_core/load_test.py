@@ -18,7 +18,7 @@ from sim_core.sled import build_profile, stop_sample
 SETTLED_FOR_S, SETTLED_WITHIN_M, SETTLE_LIMIT_S = 0.05, 5.0e-5, 2.0
 REST_FOR_S, REST_WITHIN_M, REST_LIMIT_S = 0.25, 5.0e-4, 3.0
 CONTACT_CHECK_HZ = 30
-SNAPSHOT_HZ = 20
+SNAPSHOT_HZ = 10
 MAXIMUM_HALVINGS = 3
 
 
@@ -86,6 +86,7 @@ class LoadTest:
         self._since_snapshot: list[list[Array]] = []
         self._since_ledger: list[list[Array]] = []
         self._snapshot: int | None = None
+        self._read_poses: tuple[Array, Array] | None = None
         self._fields = self._build_fields()
 
     @property
@@ -223,6 +224,7 @@ class LoadTest:
         self.halvings.append(f"at {self.time_s:.3f} s: {breach.monitor}: {breach.reason}")
         self._step_s /= 2.0
         self.engine.restore(self._snapshot)
+        self._read_poses = None
         self.engine.set_step(self._step_s)
         self._monitors.forget_recent()
         self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
@@ -238,16 +240,19 @@ class LoadTest:
     def _step(self, delta_velocity: Array) -> None:
         forces = self._fields.forces(*self.engine.poses()) if self._fields is not None else None
         self.engine.step(delta_velocity, forces)
+        self._read_poses = None
         self.step_count += 1
 
     def _read(self) -> tuple[Array, Array]:
         """Poses at the time of the velocities: a semi-implicit step leaves positions half a step of motion ahead."""
-        positions, orientations = self.engine.poses()
-        linear, angular = self.engine.velocities()
-        return (
-            positions - 0.5 * self._step_s * linear,
-            turned_by_half_step(orientations, angular, self._step_s),
-        )
+        if self._read_poses is None:
+            positions, orientations = self.engine.poses()
+            linear, angular = self.engine.velocities()
+            self._read_poses = (
+                positions - 0.5 * self._step_s * linear,
+                turned_by_half_step(orientations, angular, self._step_s),
+            )
+        return self._read_poses
 
     def _frame(self, stamp_ns: int) -> PoseFrame:
         positions, orientations = self._read()

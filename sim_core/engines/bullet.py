@@ -60,6 +60,7 @@ class BulletEngine:
         self._start = self._starting_poses(scene)
         self._last_islands: object = ()
         self._state: tuple[Array, Array] | None = None
+        self._motion: tuple[Array, Array] | None = None
 
     def _configure(self, scene: Scene) -> None:
         wanted = {
@@ -157,7 +158,7 @@ class BulletEngine:
                     p.applyExternalForce(
                         body, -1, force, positions[row], p.WORLD_FRAME, physicsClientId=self._client
                     )
-        self._state = None
+        self._state = self._motion = None
         self._last_islands = p.stepSimulation(physicsClientId=self._client)
 
     def poses(self) -> tuple[Array, Array]:
@@ -173,10 +174,12 @@ class BulletEngine:
 
     def velocities(self) -> tuple[Array, Array]:
         """See ``RigidEngine.velocities``."""
-        linear, angular = np.zeros_like(self._start[0]), np.zeros_like(self._start[0])
-        for row, body in self._moving:
-            linear[row], angular[row] = p.getBaseVelocity(body, physicsClientId=self._client)
-        return with_sheets(self._model, linear), angular
+        if self._motion is None:
+            linear, angular = np.zeros_like(self._start[0]), np.zeros_like(self._start[0])
+            for row, body in self._moving:
+                linear[row], angular[row] = p.getBaseVelocity(body, physicsClientId=self._client)
+            self._motion = with_sheets(self._model, linear), angular
+        return self._motion
 
     def contacts(self) -> ContactState:
         """See ``RigidEngine.contacts``."""
@@ -206,7 +209,7 @@ class BulletEngine:
     def restore(self, handle: int) -> None:
         """See ``RigidEngine.restore``."""
         p.restoreState(stateId=handle, physicsClientId=self._client)
-        self._state = None
+        self._state = self._motion = None
 
     def forget(self, handle: int) -> None:
         """See ``RigidEngine.forget``."""

@@ -66,8 +66,9 @@ for kind, topic in ((AccelStamped, "sled/acceleration"), (Imu, "sled/acceleromet
     listen(kind, topic)
 executor = rclpy.executors.SingleThreadedExecutor()
 executor.add_node(node)
-last, total = time.monotonic(), 0
-while time.monotonic() - last < 4.0 or not total:
+last = time.monotonic()
+total = 0
+while time.monotonic() - last < (4.0 if total else 60.0):
     executor.spin_once(timeout_sec=0.2)
     now = sum(map(len, stamps.values()))
     if now != total:
@@ -117,7 +118,7 @@ def test_killed_node_ends_the_test(tmp_path: Path, name: str) -> None:
     assert not any(Path(f"/proc/{pid}").exists() for pid in nodes.values())
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_signal_ends_the_graph_with_a_whole_bag(tmp_path: Path, number: signal.Signals) -> None:
     process = start("up", SCENE, "--pace", "real", "--out", "up", cwd=tmp_path, env=environment())
     bag = tmp_path / "up" / "bag"
@@ -154,3 +155,45 @@ def test_load_that_cannot_settle_ends_the_graph(tmp_path: Path) -> None:
     assert done.returncode == 3, done.stdout + done.stderr
     assert "ended by monitor" in done.stderr
     assert pallet_twin("check", "up/bag", cwd=tmp_path).returncode == 0
+
+
+def test_killed_supervisor_takes_its_nodes_along(tmp_path: Path) -> None:
+    process = start("up", SCENE, "--pace", "real", "--out", "up", cwd=tmp_path, env=environment())
+    bag = tmp_path / "up" / "bag"
+    wait_until_recording(bag)
+    nodes = node_pids(process.pid)
+    process.kill()
+    process.communicate(timeout=30)
+    deadline = time.monotonic() + 20.0
+    while any(Path(f"/proc/{pid}/exe").exists() for pid in nodes.values()):
+        assert time.monotonic() < deadline, "nodes outlive their supervisor"
+        time.sleep(0.05)
+    # The recorder was asked to end, so its bag is whole.
+    assert pallet_twin("check", str(bag), cwd=tmp_path).returncode == 0
+
+
+def test_second_twin_in_a_domain_is_refused(tmp_path: Path) -> None:
+    env = environment()
+    first = start("up", SCENE, "--pace", "real", "--out", "first", "--no-estimate", cwd=tmp_path, env=env)
+    wait_until_recording(tmp_path / "first" / "bag", more_than=0)
+    second = pallet_twin("up", "block_slip", "--out", "second", cwd=tmp_path, env=env)
+    assert second.returncode == 2
+    assert "another twin runs there" in second.stderr
+    first.communicate(timeout=60)
+    assert first.returncode == 0
+
+
+@pytest.mark.parametrize("kind", ["full folder", "file"])
+def test_place_that_cannot_be_recorded_into_is_refused_at_once(tmp_path: Path, kind: str) -> None:
+    place = tmp_path / "there"
+    if kind == "file":
+        place.write_text("")
+    else:
+        place.mkdir()
+        (place / "mine").write_text("")
+    began = time.monotonic()
+    done = pallet_twin("up", "block_slip", "--out", "up", "--record", "there", cwd=tmp_path)
+    assert done.returncode == 2
+    assert "--record = there" in done.stderr
+    assert time.monotonic() - began < 15.0
+    assert not (tmp_path / "up").exists()

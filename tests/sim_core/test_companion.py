@@ -8,7 +8,7 @@ import pytest
 
 from config.scene import Scene
 from config.scene_file import find_scene, read_scene
-from sim_core.companion import FLOOR_MM, Companion, companion_scenes
+from sim_core.companion import FLOOR_MM, Companion, CrossCheck, companion_scenes
 from sim_core.report import judgement, worst_by_rule
 from sim_core.run import run_test
 
@@ -81,3 +81,23 @@ def test_a_cancelled_companion_is_gone(make_scene: MakeScene, box: Box) -> None:
     companion.cancel()
     assert companion._process.returncode == -signal.SIGKILL
     companion.cancel()
+
+
+@pytest.mark.parametrize("engine", ["bullet", "mujoco"])
+def test_the_other_engine_agrees_on_a_closed_form(engine: str) -> None:
+    scene = read_scene(find_scene("block_slip"), [f"solver.engine={engine}"])
+    other = CrossCheck(scene)
+    rules = judgement(scene, run_test(scene).judge)["rules"]
+    checked = other.compare(rules)
+    assert checked["engine"] == ({"bullet", "mujoco"} - {engine}).pop()
+    assert checked["agrees"] and checked["problem"] is None
+    slips = {rule["rule"]: rule["worst_mm"] for rule in checked["rules"]}
+    assert slips["permanent"] == pytest.approx(467.49964, rel=2.0e-4)
+
+
+def test_a_different_state_is_a_disagreement() -> None:
+    scene = read_scene(find_scene("block_slip"))
+    rules = [{**rule, "state": "pass"} for rule in judgement(scene, run_test(scene).judge)["rules"]]
+    checked = CrossCheck(scene).compare(rules)
+    assert not checked["agrees"]
+    assert [entry["agrees"] for entry in checked["rules"] if entry["rule"] == "damage"] == [True]

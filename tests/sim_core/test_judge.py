@@ -342,3 +342,19 @@ def test_the_verdict_of_states(states: list[str], verdict: str) -> None:
 def test_corner_names() -> None:
     assert corner_name(0) == "-x -y -z"
     assert corner_name(5) == "+x -y +z"
+
+
+def test_layers_follow_from_heights_where_no_package_names_its_own(make_scene: MakeScene, box: Box) -> None:
+    scene = make_scene(
+        box("low"), box("top", bottom=0.144 + 0.25), limits={"layer_fraction": 0.02}
+    )
+    judge = EumosJudge(scene)
+    positions = np.array([(0.0, 0.0, 0.072), *(package.position_m for package in scene.packages)])
+    turns = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    judge.add(PoseFrame(0, 10**9, positions, turns))
+    positions = positions.copy()
+    positions[2, 0] += 0.05
+    judge.add(PoseFrame(1, 2 * 10**9, positions, turns))
+    rules = {rule.rule: rule for rule in judge.rules()}
+    assert rules["layers"].worst_mm == pytest.approx(50.0)
+    assert rules["layers"].state == "fail"
