@@ -3,12 +3,13 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 
-.PHONY: help setup setup-dev demo test lint clean
+.PHONY: help setup setup-dev demo test lint bench clean
 
 help:
 	@echo "make demo   run one EUMOS test of a palletised load: verdict, report, recording"
 	@echo "make test   set up the tools and run every test"
 	@echo "make lint   ruff, mypy and the import contract"
+	@echo "make bench  error against run time and the stability table, into runs/ (half an hour)"
 	@echo "make clean  remove .venv and caches; runs/ stays"
 
 setup: $(VENV)/.main
@@ -37,6 +38,10 @@ lint: setup-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-cache
+
+bench: setup-dev
+	$(BIN)/pallet-twin accuracy --out runs/accuracy
+	$(BIN)/pallet-twin stress --engine both --out runs/stress
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info

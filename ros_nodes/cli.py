@@ -170,6 +170,57 @@ def judge(
 
 
 @app.command()
+def accuracy(
+    scene: Annotated[
+        str | None,
+        typer.Argument(metavar="[SCENE]", help="Measure this scene; without it, the reference suite."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for tables, figures and page; resumed if it exists.")
+    ] = Path("runs/accuracy"),
+    set_: SetOption = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer settings and cases, about a minute.")] = False,
+) -> None:
+    """Measure error against run time, over time steps, iterations and engines.
+
+    The reference suite is held against closed forms and independent solutions, a scene of yours against its own
+    refined runs. Rows that the folder already holds are not run again.
+    """
+    from recordings.recorded_sled import load_scene
+    from sim_core.accuracy import run_accuracy
+
+    loaded = load_scene(scene, set_ or ()) if scene is not None else None
+    with output.counter("error against run time", quiet=False) as count:
+        run_accuracy(out, scene=loaded, quick=quick, on_progress=count)
+    print(f"page    {out / 'accuracy.html'}")
+    print(f"table   {out / 'accuracy.csv'}")
+
+
+@app.command()
+def stress(
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Write the table here: JSON, CSV and a page.")
+    ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="ROW", help="Run only these rows; * stands for anything. May be repeated."),
+    ] = None,
+    engine: Annotated[Literal["bullet", "mujoco", "both"], typer.Option(help="Engine to try.")] = "bullet",
+    as_json: JsonOption = False,
+) -> None:
+    """Run the stability table: stiff and extreme cases, each right, refused, ended by a monitor, or wrong.
+
+    Example: `pallet-twin stress --only 'mass_ratio*'`. The whole table takes about a minute an engine.
+    """
+    from sim_core.stress import run_stress
+
+    engines = ("bullet", "mujoco") if engine == "both" else (engine,)
+    with output.counter("stability table", quiet=as_json) as count:
+        results = run_stress(out, only=only or (), engines=engines, on_progress=count)
+    output.show_stress(results, out, as_json=as_json)
+
+
+@app.command()
 def schema() -> None:
     """Print the scene's JSON Schema."""
     from config.scene import Scene

@@ -94,7 +94,11 @@ def run_headless(
                 result = run_test(scene, observers=[bag], on_progress=on_progress)
                 judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
                 bag.finish(report_json(judged, compact=True))
-        estimate = companion.estimate(worst_by_rule(judged)) if companion is not None else None
+        estimate = (
+            companion.estimate(worst_by_rule(judged), result.physics.smallest_step_s)
+            if companion is not None
+            else None
+        )
         if other is not None:
             checked = other.compare(judged["rules"])
     except BaseException:
@@ -137,7 +141,7 @@ def run_graph(
     if with_estimate and scene.packages and result.ended_by is None:
         companion = Companion(scene)
         try:
-            estimate = companion.estimate(worst_by_rule(judged))
+            estimate = companion.estimate(worst_by_rule(judged), result.physics.smallest_step_s)
         except BaseException:
             companion.cancel()
             raise

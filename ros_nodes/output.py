@@ -1,13 +1,15 @@
 """What the command line shows: progress, verdicts and findings."""
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 from rich.text import Text
 
@@ -15,6 +17,9 @@ from config.scene import Scene
 from ros_nodes.one_test import OnProgress, TestOutcome
 from sim_core.integrity import Finding
 from sim_core.report import Report, report_json
+
+if TYPE_CHECKING:
+    from sim_core.stress import StressResult
 
 NOT_MET = 4
 ENDED_BY_MONITOR = 3
@@ -47,6 +52,44 @@ def progress(scene: Scene, *, quiet: bool) -> Iterator[OnProgress | None]:
             bar.update(task, completed=min(time_s, end_s), time=time_s, rules=rules)
 
         yield advance
+
+
+@contextmanager
+def counter(title: str, *, quiet: bool) -> Iterator[Callable[[int, int, object], None] | None]:
+    """A progress bar over rows, on standard error."""
+    if quiet:
+        yield None
+        return
+    with Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        console=Console(stderr=True), transient=True,
+    ) as bar:  # fmt: skip
+        task = bar.add_task(title, total=None)
+        yield lambda done, total, _row: bar.update(task, completed=done, total=total)
+
+
+def show_stress(results: "Sequence[StressResult]", out: Path | None, *, as_json: bool) -> None:
+    """The stability table; ends the process with 1 when a row is wrong that is not known to be."""
+    if as_json:
+        print(report_json({"rows": [asdict(result) for result in results]}))
+    else:
+        console = Console(highlight=False)
+        for result in results:
+            style = {"wrong": "bold red", "right": "green"}.get(result.outcome, "yellow")
+            console.print(
+                Text.assemble(
+                    f"{result.row} ({result.engine}): ",
+                    (result.outcome, style),
+                    f": {' '.join(result.measured.split())}",
+                ),
+                soft_wrap=True,
+            )
+        tally = Counter(result.outcome for result in results)
+        print(", ".join(f"{count} {outcome}" for outcome, count in sorted(tally.items())))
+        if out is not None:
+            print(f"page    {out / 'stress.html'}")
+    if any(not result.is_acceptable and result.known_wrong is None for result in results):
+        sys.exit(1)
 
 
 def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:

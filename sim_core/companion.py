@@ -53,12 +53,14 @@ class Answer:
         states: state by rule.
         step_s: its time step [s].
         problem: what ended it early, or None.
+        smallest_step_s: the step that its monitors left it with [s].
     """
 
     worst_mm: dict[str, float]
     states: dict[str, str]
     step_s: float
     problem: str | None
+    smallest_step_s: float = 0.0
 
 
 def companion_scenes(scene: Scene) -> list[Scene]:
@@ -128,15 +130,19 @@ class Companion(BackgroundTest):
         self._step_s = scene.time_step_s
         super().__init__(companion_scenes(scene))
 
-    def estimate(self, worst_mm: Mapping[str, float]) -> ErrorEstimate:
+    def estimate(self, worst_mm: Mapping[str, float], smallest_step_s: float) -> ErrorEstimate:
         """Waits for the companion and compares it with the real run.
 
         Args:
             worst_mm: the real run's worst displacement by rule [mm].
+            smallest_step_s: the step that the real run's monitors left it with [s].
         """
         answer = self.answer()
-        if answer.problem is not None:
-            return ErrorEstimate(answer.step_s, {}, None, answer.problem, answer.worst_mm)
+        problem = answer.problem
+        if problem is None and 0.75 < answer.smallest_step_s / smallest_step_s < 1.5:
+            problem = f"both runs had to halve their steps to {1000.0 * smallest_step_s:.3g} ms, so they tell nothing"
+        if problem is not None:
+            return ErrorEstimate(answer.step_s, {}, None, problem, answer.worst_mm)
         # Half the step has half the error or less: it differs by half of the error or more.
         factor = 1.0 if answer.step_s > self._step_s else 2.0
         differences = {
@@ -202,7 +208,7 @@ def _answer(scene: Scene) -> tuple[Answer, bool]:
     rules = judge.rules() if judge.frame_count else []
     worst = {rule.rule: rule.worst_mm for rule in rules if rule.worst_mm is not None}
     states: dict[str, str] = {rule.rule: rule.state for rule in rules}
-    return Answer(worst, states, scene.time_step_s, problem), judge.frame_count > 0
+    return Answer(worst, states, scene.time_step_s, problem, test.smallest_step_s), judge.frame_count > 0
 
 
 def main() -> None:

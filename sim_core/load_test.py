@@ -11,11 +11,14 @@ from sim_core.engines import make_engine
 from sim_core.force_fields import PerimeterForceFields
 from sim_core.frames import Array, PoseFrame, SledSample
 from sim_core.geometry import turned_by_half_step
+from sim_core.integrity import supports
 from sim_core.monitors import Breach, Extremes, Monitors
 from sim_core.sled import build_profile, stop_sample
 
 # Less than 1 and 2 mm/s: boxes that stick under shear still creep in the solver, by up to half of that.
 SETTLED_FOR_S, SETTLED_WITHIN_M, SETTLE_LIMIT_S = 0.05, 5.0e-5, 2.0
+SETTLED_SINK_M = 3.0e-3
+"""Gap (2 mm) and overlap (1 mm) that the integrity check lets a package start with."""
 REST_FOR_S, REST_WITHIN_M, REST_LIMIT_S = 0.25, 5.0e-4, 3.0
 CONTACT_CHECK_HZ = 30
 SNAPSHOT_HZ = 10
@@ -77,7 +80,7 @@ class LoadTest:
         self._radii = 0.5 * np.linalg.norm(np.array(edges), axis=1)
         self._rest = RestWatch(self._radii, within_m=REST_WITHIN_M, for_s=REST_FOR_S)
         self._monitors = Monitors(["pallet", *(package.id for package in scene.packages)], self._radii)
-        self._ledger = EnergyLedger(scene)
+        self._ledger = self._ledger_then = EnergyLedger(scene)
         self._frame_count = 0
         self._frames_a_check = max(1, scene.sampling.poses_hz // CONTACT_CHECK_HZ)
         self._frames_a_snapshot = max(1, scene.sampling.poses_hz // SNAPSHOT_HZ)
@@ -157,24 +160,47 @@ class LoadTest:
         """Lets the load come to rest under gravity and returns it as frame 0."""
         still = np.zeros(3)
         watch = RestWatch(self._radii, within_m=SETTLED_WITHIN_M, for_s=SETTLED_FOR_S)
-        steps = 0
-        while self.scene.packages and not watch.update(steps * self._step_s, *self.engine.poses()):
+        time_s = 0.0
+        while self.scene.packages and not watch.update(time_s, *self.engine.poses()):
             self._step(still)
-            steps += 1
+            time_s += self._step_s
             breach = self._monitors.motion(self.engine.poses()[0], *self.engine.velocities())
-            if breach is None and steps * self._step_s > SETTLE_LIMIT_S:
+            if breach is None and time_s > SETTLE_LIMIT_S:
                 breach = Breach(
                     "settling",
                     f"after {SETTLE_LIMIT_S} s at rest the load still moves by more than"
                     f" {1000.0 * SETTLED_WITHIN_M} mm within {SETTLED_FOR_S} s: it does not stand by itself",
                 )
             if breach is not None:
+                # No halving here: a companion would halve to the same step, and the two would agree on an error.
                 raise EndedByMonitor(breach.monitor, breach.reason, 0.0)
-        self.settle_s = steps * self._step_s
+        self.settle_s = time_s
+        self._require_places()
         self._monitors.contacts(self.engine.contacts(), self.engine.residual())
         self._ledger = self._accounted()
         self._take_snapshot()
         return self._frame(stamp_ns)
+
+    def _require_places(self) -> None:
+        """Refuses a load that settled by sinking: displacement from there would look small.
+
+        Raises:
+            EndedByMonitor: a package came closer to what it stands on than gap and overlap at the start allow.
+        """
+        heights = self.engine.poses()[0][:, 2]
+        for support in supports(self.scene):
+            package = self.scene.packages[support.package]
+            row, below = support.package + 1, support.below + 1
+            ground = self.scene.packages[support.below].position_m[2] if support.below >= 0 else 0.0
+            now = heights[row] - (heights[below] if support.below >= 0 else 0.0)
+            sunk_m = float(package.position_m[2] - ground - now)
+            if abs(sunk_m) > SETTLED_SINK_M and package.kind == "package":
+                raise EndedByMonitor(
+                    "settling",
+                    f"{package.id} sank by {1000.0 * sunk_m:.1f} mm into what it stands on while the load settled,"
+                    f" limit {1000.0 * SETTLED_SINK_M:.0f} mm",
+                    0.0,
+                )
 
     def _advance(self, changes: list[Array]) -> None:
         """Steps over samples, in groups that hold a whole number of steps."""

@@ -9,6 +9,8 @@ from sim_core.frames import Array
 
 MAXIMUM_SPEED_MPS = 50.0
 """Half of the 100 m/s at which btMultiBody clamps each velocity in silence."""
+MAXIMUM_DROP_M = 1.0
+"""Below the platform, which is modelled 200 m wide: what gets here has left the model."""
 MAXIMUM_RELATIVE_PENETRATION = 0.02
 """Of the smaller body's smallest edge, three checks running: an impact passes, a load that sinks does not."""
 PENETRATION_CHECKS = 3
@@ -65,13 +67,16 @@ class Monitors:
         self._deep_checks = 0
 
     def motion(self, positions: Array, linear: Array, angular: Array) -> Breach | None:
-        """Finite state and speed; shapes [n, 3], metres and radians a second."""
+        """Finite state, place and speed; shapes [n, 3], metres and radians a second."""
         speeds = np.linalg.norm(linear, axis=1) + np.linalg.norm(angular, axis=1) * self._radii
         sound = np.isfinite(speeds) & np.isfinite(positions).all(axis=1)
         if not sound.all():
             return Breach(
                 "finite state", f"{self._names[int(np.argmin(sound))]} has no finite pose or velocity"
             )
+        lowest = int(positions[:, 2].argmin())
+        if positions[lowest, 2] < -MAXIMUM_DROP_M:
+            return Breach("place", f"{self._names[lowest]} left the sled's platform and fell below it")
         fastest = int(speeds.argmax())
         speed = float(speeds[fastest])
         self.extremes.speed_mps = max(self.extremes.speed_mps, speed)

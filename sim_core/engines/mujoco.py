@@ -68,6 +68,7 @@ class MujocoEngine:
         mujoco.mj_forward(self._mj, self._data)
         option = self._mj.opt
         self.settings: Mapping[str, object] = {
+            "version": mujoco.__version__,
             "timestep": float(option.timestep),
             "iterations": int(option.iterations),
             "tolerance": float(option.tolerance),

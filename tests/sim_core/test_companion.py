@@ -25,7 +25,7 @@ def test_the_estimate_is_the_difference_to_the_doubled_step(name: str) -> None:
     scene = read_scene(find_scene(name))
     companion = Companion(scene)
     real, doubled = worst(scene), worst(companion_scenes(scene)[0])
-    estimate = companion.estimate(real)
+    estimate = companion.estimate(real, scene.time_step_s)
     assert estimate.problem is None
     assert estimate.companion_step_s == 2.0 * scene.time_step_s
     # The same code on the same samples: the very numbers, since JSON keeps every bit.
@@ -61,7 +61,7 @@ def test_a_companion_that_a_monitor_ends_is_a_problem(make_scene: MakeScene, box
         surfaces={"pairs": [{"between": ["cardboard", "sled"], "friction": 0.0}]},
         sled={"profile": "table", "times_s": [0.0, 0.1], "acceleration_mps2": [1000.0, 1000.0]},
     )
-    estimate = Companion(scene).estimate({"elastic": 1.0})
+    estimate = Companion(scene).estimate({"elastic": 1.0}, scene.time_step_s)
     assert estimate.largest_mm is None
     assert estimate.by_rule_mm == {}
     assert estimate.problem is not None
@@ -70,7 +70,7 @@ def test_a_companion_that_a_monitor_ends_is_a_problem(make_scene: MakeScene, box
 
 
 def test_a_companion_that_cannot_begin_is_a_problem(make_scene: MakeScene, box: Box) -> None:
-    estimate = Companion(make_scene(box("a"), sled={"profile": "recorded"})).estimate({})
+    estimate = Companion(make_scene(box("a"), sled={"profile": "recorded"})).estimate({}, 1.0)
     assert estimate.largest_mm is None
     assert estimate.problem is not None
     assert "sled.bag" in estimate.problem

@@ -157,16 +157,16 @@ def test_a_turn_presses_where_the_corner_comes_out(make_scene: MakeScene, box: B
 
 
 @pytest.mark.parametrize("falloff", [1.0, 2.0, 4.0])
-def test_the_frequency_is_the_slope_of_the_force(
-    make_scene: MakeScene, box: Box, falloff: float
-) -> None:
+def test_the_frequency_is_the_slope_of_the_force(make_scene: MakeScene, box: Box, falloff: float) -> None:
     scene = make_scene(box("a"), force_fields={"falloff": falloff})
     h = 1.0e-5
     slope = (force_at(scene, -h, 0.0, 0.0)[1, 0] - force_at(scene, h, 0.0, 0.0)[1, 0]) / (2.0 * h)
     # The central difference misses F''' of (d/r)^p: p(p+1)(p+2)/d³·h²/3 of 2p/d, below 1e-6 for p ≤ 4.
     fields = fields_of(scene)
     positions, orientations = settled_poses(scene)
-    assert fields.stiffest_frequency(positions, orientations) == pytest.approx(math.sqrt(slope / 10.0), rel=1.0e-6)
+    assert fields.stiffest_frequency(positions, orientations) == pytest.approx(
+        math.sqrt(slope / 10.0), rel=1.0e-6
+    )
     # Beyond a quarter of d the near side pushes alike everywhere: what is left is stiffest across, k = 2·p·F/d.
     positions[1, 0] += 0.04
     expected = math.sqrt(2.0 * falloff * 10.0 / 4.0 * PEAK / 0.05 / 10.0)

@@ -345,9 +345,7 @@ def test_corner_names() -> None:
 
 
 def test_layers_follow_from_heights_where_no_package_names_its_own(make_scene: MakeScene, box: Box) -> None:
-    scene = make_scene(
-        box("low"), box("top", bottom=0.144 + 0.25), limits={"layer_fraction": 0.02}
-    )
+    scene = make_scene(box("low"), box("top", bottom=0.144 + 0.25), limits={"layer_fraction": 0.02})
     judge = EumosJudge(scene)
     positions = np.array([(0.0, 0.0, 0.072), *(package.position_m for package in scene.packages)])
     turns = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))

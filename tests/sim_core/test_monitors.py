@@ -51,7 +51,9 @@ def fields_scene(tension: float, **parts: Any) -> Scene:
         {
             "name": "fields",
             "load": {
-                "packages": [{"id": "a", "size_m": [0.4, 0.3, 0.25], "mass_kg": 10, "position_m": [0, 0, 0.269]}]
+                "packages": [
+                    {"id": "a", "size_m": [0.4, 0.3, 0.25], "mass_kg": 10, "position_m": [0, 0, 0.269]}
+                ]
             },
             "force_fields": {"tension": tension},
             "sled": {"profile": "eumos", "level_g": 0.8},

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from config.scene_file import find_scene, read_scene
+from sim_core.accuracy.closed_forms import slab_slips_m, trapezoid_slip_m
 from sim_core.load_test import LoadTest
 from sim_core.run import run_test
 from sim_core.sled import sled_samples
-from tests.reference.sliding import slab_slips_m, trapezoid_slip_m
 from tests.sim_core.scenes import block_scene, packages_of, run_shipped
 
 SLAB_MASSES, SLAB_FRICTIONS = [100, 80, 60, 40, 20], [0.5, 0.4, 0.3, 0.2, 0.1]

@@ -62,7 +62,9 @@ def test_traceback_counts_as_wrong() -> None:
 
 
 def test_refusal_and_end_are_only_acceptable_where_the_row_says_so() -> None:
-    refusing = replace(resting(), scenes=lambda engine: [scene_of("x", [box("a", FLAT, -1.0)], still(0.1), engine=engine)])
+    refusing = replace(
+        resting(), scenes=lambda engine: [scene_of("x", [box("a", FLAT, -1.0)], still(0.1), engine=engine)]
+    )
     result = run_row(refusing, "bullet")
     assert (result.outcome, result.is_acceptable) == ("refused", False)
     assert "mass_kg = -1.0: must be greater than 0" in result.measured
@@ -88,7 +90,9 @@ def test_table_on_disk_says_what_ran(tmp_path) -> None:
     with (tmp_path / "new" / "stress.csv").open(encoding="utf-8", newline="") as file:
         assert [row["row"] for row in csv.DictReader(file)] == [result.row for result in results]
     page = (tmp_path / "new" / "stress.html").read_text(encoding="utf-8")
-    assert page.count('<span class="mark refused">⊘ refused</span></td>') == sum(r.outcome == "refused" for r in results)
+    assert page.count('<span class="mark refused">⊘ refused</span></td>') == sum(
+        r.outcome == "refused" for r in results
+    )
     assert not re.search(r"(src|href)=|https?://|@import", page)
 
 
@@ -100,5 +104,7 @@ def test_impossible_request_is_refused(tmp_path, arguments, field) -> None:
     (tmp_path / "file").write_text("")
     out = tmp_path / arguments["out"] if "out" in arguments else None
     with pytest.raises(RefusedInput) as refusal:
-        run_stress(out, only=arguments.get("only", ["input_nan_mass"]), engines=arguments.get("engines", ["bullet"]))
+        run_stress(
+            out, only=arguments.get("only", ["input_nan_mass"]), engines=arguments.get("engines", ["bullet"])
+        )
     assert refusal.value.field == field

@@ -1,0 +1,114 @@
+"""The accuracy page: one self-contained HTML file with the figures, the fronts and every row."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from sim_core.accuracy.cases import Case
+from sim_core.accuracy.figures import growth_figure, order_figure, standalone_svg, work_precision_figure
+from sim_core.accuracy.fronts import Choice, GrowthPoint, Order, as_table
+from sim_core.accuracy.sweep import Row
+from sim_core.report_style import STYLE
+
+
+def write_page(
+    out: Path,
+    rows: Sequence[Row],
+    cases: Sequence[Case],
+    orders: Sequence[Order],
+    choices: Sequence[Choice],
+    points: Sequence[GrowthPoint],
+) -> None:
+    """Writes ``accuracy.html`` and each figure as an SVG file of its own.
+
+    Args:
+        out: an existing folder.
+        rows: the sweep.
+        cases: its cases.
+        orders: fitted orders.
+        choices: cheapest settings.
+        points: growth with the size of the load; may be empty.
+    """
+    names = list(dict.fromkeys(case.name for case in cases))
+    smooth = [name for name in names if any(order.case == name for order in orders)]
+    figures = {"work_precision": work_precision_figure(rows, names)}
+    if smooth:
+        figures["order"] = order_figure(rows, smooth, orders)
+    if points:
+        figures["growth"] = growth_figure(points)
+    for name, svg in figures.items():
+        (out / f"{name}.svg").write_text(standalone_svg(svg), encoding="utf-8")
+    captions = {
+        "work_precision": "Error against wall time. Dashed: what is allowed. Labels: the step.",
+        "order": "Error against step, with the order fitted to all errors above 1 µm.",
+        "growth": "Real-time factor against packages, and time a step against contacts.",
+    }
+    sections = [
+        _section(
+            captions[name].split(".")[0],
+            f"<figure>{svg}<figcaption>{escape(captions[name])}</figcaption></figure>",
+        )
+        for name, svg in figures.items()
+    ]
+    failed = [row for row in rows if row.failed]
+    sections += [
+        _section("Cheapest setting inside a tolerance", table(as_table(choices))),
+        _section("Cases", table([{"case": case.name, "what happens": case.title} for case in cases])),
+        _section(
+            "Omissions", table(omission_rows(failed)) if failed else "<p>Every setting ran to its end.</p>"
+        ),
+        _section("Every row", table([row_entry(row) for row in rows])),
+    ]
+    page = (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8"><title>Accuracy</title>'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head>'
+        "<body><main><header><p class='kicker'>pallet-twin</p><h1>Error against run time</h1>"
+        "<p>Each row is one case at one setting: its error against a reference, and what it cost.</p></header>"
+        f"{''.join(sections)}</main></body></html>\n"
+    )
+    scratch = out / "accuracy.html.part"
+    scratch.write_text(page, encoding="utf-8")
+    scratch.replace(out / "accuracy.html")
+
+
+def row_entry(row: Row) -> dict[str, Any]:
+    """A row as the page shows it."""
+    worst = max(row.quantities, key=lambda q: q.error / q.bar, default=None)
+    return {
+        "case": row.case,
+        "setting": row.setting.words,
+        "worst quantity": "failed" if worst is None else f"{worst.name} ({worst.reference_kind})",
+        "error": None if worst is None else f"{worst.error:.3g} {'' if worst.unit == 'g' else worst.unit}",
+        "of allowed": None if row.bars is None else f"{row.bars:.2f}",
+        "wall min / median / max [s]": None
+        if row.wall_min_s is None
+        else f"{row.wall_min_s:.3f} / {row.wall_median_s:.3f} / {row.wall_max_s:.3f} ({row.repeats})",
+        "real-time factor": None if row.real_time_factor is None else f"{row.real_time_factor:.1f}",
+        "contacts": row.contacts,
+        "overlap [mm]": f"{row.penetration_mm:.3f}",
+        "residual": f"{row.residual:.1e}",
+    }
+
+
+def omission_rows(failed: Sequence[Row]) -> list[dict[str, Any]]:
+    """Failed rows with their reasons."""
+    return [{"case": row.case, "setting": row.setting.words, "why": row.reason} for row in failed]
+
+
+def table(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows of one shape as an HTML table."""
+    if not rows:
+        return "<p>None.</p>"
+    head = "".join(f"<th>{escape(str(name))}</th>" for name in rows[0])
+    body = "".join(
+        "<tr>"
+        + "".join(f"<td>{'' if value is None else escape(str(value))}</td>" for value in row.values())
+        + "</tr>"
+        for row in rows
+    )
+    return f"<div class='scroll'><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>"
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{content}</section>"

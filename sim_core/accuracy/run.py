@@ -1,0 +1,168 @@
+"""One accuracy run: sweeps the suite or a scene, writes the tables, the figures and the page."""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from config.errors import PalletTwinError
+from config.scene import Scene
+from sim_core.accuracy.cases import Case, reference_suite
+from sim_core.accuracy.fronts import (
+    GROWTH_COLUMNS,
+    Choice,
+    GrowthPoint,
+    Order,
+    as_table,
+    cheapest,
+    fitted_orders,
+    growth,
+    growth_exponents,
+)
+from sim_core.accuracy.own_scene import scene_case
+from sim_core.accuracy.sweep import FORMAT, Progress, Row, Setting, row_from_json, run_sweep, write_rows
+from sim_core.report import versions
+
+RATES_HZ = {"bullet": (120, 240, 480, 960, 1920), "mujoco": (60, 120, 240, 480, 960, 1920)}
+ITERATIONS = {"bullet": (10, 40, 100), "mujoco": (10, 40)}
+QUICK_RATES_HZ = {"bullet": (240, 480, 960), "mujoco": (120, 240, 480)}
+QUICK_ITERATIONS = {"bullet": (40,), "mujoco": (40,)}
+QUICK_LEAVES_OUT = {"tipping", "inertial block", "square block at 45°"}
+FINEST = {"bullet": (3840, 40), "mujoco": (1920, 40)}
+GROWTH_SETTINGS = {"bullet": (480, 40), "mujoco": (240, 40)}
+TOLERANCES_MM = (None, 0.1, 0.5, 1.0)
+
+
+def run_accuracy(
+    out: Path,
+    *,
+    scene: Scene | None = None,
+    quick: bool = False,
+    on_progress: Progress | None = None,
+    repeats: int = 3,
+) -> None:
+    """Writes ``accuracy.json``, ``accuracy.csv``, the figures and ``accuracy.html`` into a folder.
+
+    Rows that the folder's ``accuracy.json`` already holds are not run again unless what they depend on changed.
+
+    Args:
+        out: the folder, made where it is missing.
+        scene: a resolved scene to measure against its own refined runs; None for the reference suite.
+        quick: fewer settings, cases and loads, in about a minute.
+        on_progress: called with the rows done, their number in the end, and what comes next in words.
+        repeats: timed repetitions of each row.
+
+    Raises:
+        PalletTwinError: the scene's reference run was refused or ended by a monitor on every engine.
+    """
+    from sim_core.accuracy.page import write_page
+
+    out.mkdir(parents=True, exist_ok=True)
+    known = _known_rows(out / "accuracy.json")
+    repeats = 1 if quick else repeats
+    parts = _parts(scene, quick, on_progress)
+    rows: list[Row] = []
+    for cases, settings in parts:
+        done = list(rows)
+        rows += run_sweep(
+            cases, settings, repeats=repeats, known=known, on_progress=on_progress,
+            on_row=partial(_write_unfinished, out, done, known),
+        )  # fmt: skip
+    cases = [case for group, _ in parts for case in group]
+    orders = fitted_orders(rows, {case.name for case in cases if case.is_smooth})
+    kinds = sorted({case.kind for case in cases})
+    choices = [
+        choice
+        for kind in kinds
+        # A threshold has no error in mm.
+        for tolerance in (TOLERANCES_MM if kind != "threshold" else TOLERANCES_MM[:1])
+        for choice in cheapest(rows, kind, tolerance)
+    ]
+    points: list[GrowthPoint] = []
+    if scene is None:
+        points = growth(
+            [Setting(engine, *GROWTH_SETTINGS[engine]) for engine in installed_engines()],
+            columns=GROWTH_COLUMNS[:4] if quick else GROWTH_COLUMNS,
+            on_progress=(lambda words: on_progress(len(rows), len(rows), words)) if on_progress else None,
+        )
+    _write_json(out, rows, orders, choices, points)
+    write_rows(rows, out / "accuracy.csv")
+    write_page(out, rows, cases, orders, choices, points)
+
+
+def installed_engines() -> list[str]:
+    """The rigid engines that are installed, the default first."""
+    return ["bullet"] + (["mujoco"] if find_spec("mujoco") is not None else [])
+
+
+def sweep_settings(engine: str, *, quick: bool = False) -> list[Setting]:
+    """The settings that a sweep goes through, coarse to fine."""
+    rates, iterations = (QUICK_RATES_HZ, QUICK_ITERATIONS) if quick else (RATES_HZ, ITERATIONS)
+    return [Setting(engine, rate, count) for count in iterations[engine] for rate in rates[engine]]
+
+
+def _parts(
+    scene: Scene | None, quick: bool, on_progress: Progress | None
+) -> list[tuple[Sequence[Case], Sequence[Setting]]]:
+    """What to sweep: the suite over all engines, or for each engine the scene with its own reference."""
+    if scene is None:
+        cases = [case for case in reference_suite() if not (quick and case.name in QUICK_LEAVES_OUT)]
+        settings = [s for engine in installed_engines() for s in sweep_settings(engine, quick=quick)]
+        return [(cases, settings)]
+    parts: list[tuple[Sequence[Case], Sequence[Setting]]] = []
+    problem: PalletTwinError | None = None
+    for engine in installed_engines():
+        rate, iterations = FINEST[engine]
+        finest = Setting(engine, rate // 2 if quick else rate, iterations)
+        if on_progress is not None:
+            on_progress(0, 1, f"reference: {finest.words}")
+        try:
+            case = scene_case(scene, finest)
+        except PalletTwinError as error:
+            problem = error
+            continue
+        settings = [s for s in sweep_settings(engine, quick=quick) if s.rate_hz < finest.rate_hz]
+        parts.append(([case], settings))
+    if not parts and problem is not None:
+        raise problem
+    return parts
+
+
+def _known_rows(path: Path) -> list[Row]:
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        return [row_from_json(entry) for entry in stored["rows"]] if stored["format"] == FORMAT else []
+    except (OSError, ValueError, KeyError, TypeError):
+        # No earlier run, or a file that is not one: everything is run.
+        return []
+
+
+def _write_unfinished(out: Path, done: Sequence[Row], known: Sequence[Row], now: Sequence[Row]) -> None:
+    """Keeps the rows of an earlier run that this one has not come to yet."""
+    rows = {row.key: row for row in (*done, *now, *known)}
+    _write_json(out, list(rows.values()), [], [], [])
+
+
+def _write_json(
+    out: Path,
+    rows: Sequence[Row],
+    orders: Sequence[Order],
+    choices: Sequence[Choice],
+    points: Sequence[GrowthPoint],
+) -> None:
+    derived = ("error", "bars", "real_time_factor", "steps_per_s")
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "versions": versions(),
+        "rows": [asdict(row) | {name: getattr(row, name) for name in derived} for row in rows],
+        "orders": [asdict(order) for order in orders],
+        "choices": as_table(choices),
+        "growth": [asdict(point) for point in points],
+        "growth_exponents": growth_exponents(points),
+    }
+    scratch = out / "accuracy.json.part"
+    scratch.write_text(json.dumps(content, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")
+    scratch.replace(out / "accuracy.json")

@@ -1,1 +1,0 @@
-"""Closed forms and independent solutions that the physics is held against."""
