@@ -13,6 +13,19 @@ from recordings.bag_reader import BagReader
 
 _numbers = itertools.count()
 
+HEAVY_ON_LIGHT = {
+    "name": "heavy-on-light",
+    "load": {
+        "packages": [
+            {"id": "light", "size_m": [0.4, 0.4, 0.2], "mass_kg": 0.5, "position_m": [0, 0, 0.1]},
+            {"id": "heavy", "size_m": [0.4, 0.4, 0.2], "mass_kg": 2000, "position_m": [0, 0, 0.3]},
+        ]
+    },
+    "pallet": None,
+    "sled": {"profile": "eumos", "level_g": 0.3},
+}
+"""A scene that Bullet cannot do right, so that a monitor must end it."""
+
 
 def fresh_domain() -> str:
     """A domain that no other test of this run uses; Linux' ephemeral ports leave 0 to 101."""

@@ -11,7 +11,14 @@ import pytest
 from config.scene_file import find_scene
 from recordings.judge_bag import judge_bag
 from sim_core.report import judgement, report_json
-from tests.ros_nodes.graph import environment, pallet_twin, payloads, start, wait_until_recording
+from tests.ros_nodes.graph import (
+    HEAVY_ON_LIGHT,
+    environment,
+    pallet_twin,
+    payloads,
+    start,
+    wait_until_recording,
+)
 
 
 def test_run_leaves_report_page_and_bag(tmp_path: Path) -> None:
@@ -72,18 +79,7 @@ def test_interrupt_leaves_a_whole_bag(tmp_path: Path) -> None:
 
 
 def test_monitor_ends_the_run_with_partial_results(tmp_path: Path) -> None:
-    scene = {
-        "name": "heavy-on-light",
-        "load": {
-            "packages": [
-                {"id": "light", "size_m": [0.4, 0.4, 0.2], "mass_kg": 0.5, "position_m": [0, 0, 0.1]},
-                {"id": "heavy", "size_m": [0.4, 0.4, 0.2], "mass_kg": 2000, "position_m": [0, 0, 0.3]},
-            ]
-        },
-        "pallet": None,
-        "sled": {"profile": "eumos", "level_g": 0.3},
-    }
-    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    (tmp_path / "scene.json").write_text(json.dumps(HEAVY_ON_LIGHT))
     done = pallet_twin("run", "scene.json", "--out", "out", "--no-estimate", cwd=tmp_path)
     assert done.returncode == 3, done.stdout
     assert "ended by monitor" in done.stderr and "Traceback" not in done.stderr

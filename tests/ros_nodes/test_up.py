@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.ros_nodes.graph import (
+    HEAVY_ON_LIGHT,
     counts,
     environment,
     kill,
@@ -139,18 +140,7 @@ def test_graph_without_recorder(tmp_path: Path) -> None:
 
 
 def test_load_that_cannot_settle_ends_the_graph(tmp_path: Path) -> None:
-    scene = {
-        "name": "heavy-on-light",
-        "load": {
-            "packages": [
-                {"id": "light", "size_m": [0.4, 0.4, 0.2], "mass_kg": 0.5, "position_m": [0, 0, 0.1]},
-                {"id": "heavy", "size_m": [0.4, 0.4, 0.2], "mass_kg": 2000, "position_m": [0, 0, 0.3]},
-            ]
-        },
-        "pallet": None,
-        "sled": {"profile": "eumos", "level_g": 0.3},
-    }
-    (tmp_path / "scene.json").write_text(json.dumps(scene))
+    (tmp_path / "scene.json").write_text(json.dumps(HEAVY_ON_LIGHT))
     done = pallet_twin("up", "scene.json", "--out", "up", "--no-estimate", cwd=tmp_path)
     assert done.returncode == 3, done.stdout + done.stderr
     assert "ended by monitor" in done.stderr
