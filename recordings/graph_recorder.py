@@ -10,6 +10,7 @@ from typing import Any
 
 from config.scene import Scene
 from config.scene_file import scene_from_json
+from msgs_adapters.convert import motion_from_odometry
 from msgs_adapters.pose_payloads import pose_frame_from_payload
 from msgs_adapters.topics import (
     CLOCK,
@@ -146,8 +147,8 @@ class GraphRecorder:
             return
         transforms = None
         if topic is SLED_ODOMETRY and stamp_ns is not None:
-            point = _decode(topic, payload).pose.pose.position
-            transforms = self._transforms.add_position(stamp_ns, (point.x, point.y, point.z))
+            motion = motion_from_odometry(_decode(topic, payload))
+            transforms = self._transforms.add_position(stamp_ns, motion.position)
         elif topic is PACKAGES_POSES:
             transforms = self._transforms.add_frame(pose_frame_from_payload(payload, index))
         if transforms is not None:

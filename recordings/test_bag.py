@@ -4,8 +4,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-
 from config.scene import Scene
 from msgs_adapters.pose_payloads import TransformEncoder
 from msgs_adapters.publications import (
@@ -49,10 +47,10 @@ class TransformTrack:
     def __init__(self, scene: Scene) -> None:
         self._encoder = TransformEncoder([package.id for package in scene.packages])
         self._every = max(1, scene.sampling.poses_hz // TRANSFORMS_HZ)
-        self._travelled: dict[int, Array | tuple[float, float, float]] = {}
+        self._travelled: dict[int, Array] = {}
         self._waiting: dict[int, PoseFrame] = {}
 
-    def add_position(self, stamp_ns: int, position: Array | tuple[float, float, float]) -> Publication | None:
+    def add_position(self, stamp_ns: int, position: Array) -> Publication | None:
         """Takes the sled's position [m] at a stamp; gives a message when its frame was waiting."""
         waiting = self._waiting.pop(stamp_ns, None)
         if waiting is not None:
@@ -72,8 +70,8 @@ class TransformTrack:
             return None
         return self._publication(frame, position)
 
-    def _publication(self, frame: PoseFrame, position: Array | tuple[float, float, float]) -> Publication:
-        return Publication(TF, frame.stamp_ns, self._encoder.encode(frame, np.asarray(position)))
+    def _publication(self, frame: PoseFrame, position: Array) -> Publication:
+        return Publication(TF, frame.stamp_ns, self._encoder.encode(frame, position))
 
 
 class TestBag:

@@ -17,7 +17,6 @@ from msgs_adapters.publications import (
     scene_publications,
 )
 from msgs_adapters.topics import (
-    DIAGNOSTICS,
     PACKAGES_MARKERS,
     PACKAGES_POSES,
     PHYSICS_PROGRESS,
@@ -69,7 +68,6 @@ class PhysicsNode(TwinNode):
             PHYSICS_PROGRESS,
             SCENE,
             ROBOT_DESCRIPTION,
-            DIAGNOSTICS,
         ):
             self.open_topic(topic)
         self.listen(SLED_ACCELERATION, self._take_sample)
