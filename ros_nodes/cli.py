@@ -112,6 +112,12 @@ def up(
         Literal["localhost", "subnet"],
         typer.Option(help="Who may see the nodes: this host alone, or its network too."),
     ] = "localhost",
+    guests: Annotated[
+        int,
+        typer.Option(
+            min=0, max=16, help="Readers of your own to wait for on every stream before the first sample."
+        ),
+    ] = 0,
     require: RequireOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -130,7 +136,13 @@ def up(
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_graph(
-            loaded, where, pace=pace, discovery=discovery, with_estimate=estimate, on_progress=on_progress
+            loaded,
+            where,
+            pace=pace,
+            discovery=discovery,
+            with_estimate=estimate,
+            guests=guests,
+            on_progress=on_progress,
         )
     output.finish(outcome, as_json=as_json, require=require)
 

@@ -123,6 +123,7 @@ def run_graph(
     pace: Literal["fast", "real"],
     discovery: Literal["localhost", "subnet"] = "localhost",
     with_estimate: bool = True,
+    guests: int = 0,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test as a node graph; the estimate's companion runs after it, so as not to slow the nodes.
@@ -135,7 +136,7 @@ def run_graph(
 
     findings = require_integrity(scene)
     configure_middleware(discovery)
-    result = Supervisor(scene, pace, where.bag, on_progress).run()
+    result = Supervisor(scene, pace, where.bag, on_progress, guests).run()
     judged = json.loads(result.judgement_json)
     estimate: ErrorEstimate | None = None
     if with_estimate and scene.packages and result.ended_by is None:

@@ -94,12 +94,14 @@ class Supervisor:
         pace: ``fast`` or ``real``.
         bag: directory to record into, or None.
         on_progress: called with simulated time [s] and the names and states of the rules.
+        guests: readers from outside that each stream must have before the first sample.
     """
 
     scene: Scene
     pace: Literal["fast", "real"]
     bag: Path | None
     on_progress: Callable[[float, dict[str, str]], None] | None = None
+    guests: int = 0
     _nodes: list[NodeProcess] = field(default_factory=list)
     _states: dict[str, str] = field(default_factory=dict)
     _report: str | None = None
@@ -197,13 +199,17 @@ class Supervisor:
                                                               only=("eumos/status", "eumos/report")))}  # fmt: skip
         physics = _sum(
             taken_down,
-            {"packages/poses": 1, "physics/progress": 3, "scene": 2},
+            {"packages/poses": 1 + self.guests, "physics/progress": 3, "scene": 2},
             only=("packages/poses", "physics/progress", "scene", "robot_description"),
         )
         yield "physics_node", {"scene_file": str(scene_file), "readers": readers_text(physics)}
         sled = _sum(
             taken_down,
-            {"sled/acceleration": 1},
+            {
+                "sled/acceleration": 1 + self.guests,
+                "sled/odometry": self.guests,
+                "sled/accelerometer": self.guests,
+            },
             only=("/clock", "sled/acceleration", "sled/odometry", "sled/accelerometer"),
         )
         yield "sled_node", {"pace": self.pace, "readers": readers_text(sled)}
@@ -271,20 +277,21 @@ class Supervisor:
         """Ends every node that still runs.
 
         Args:
-            in_order: everything has been sent; the recorder ends first, once what is on its way has arrived.
+            in_order: everything has been sent. The senders end first, each once every reader has acknowledged
+                what it sent (a message lost on its way is sent again only after some time), the recorder last.
                 Otherwise the others are killed at once, as they hold nothing, and the recorder saves the rest.
         """
         recorder = next((node for node in self._nodes if node.name == "recorder_node"), None)
         others = [node for node in self._nodes if node is not recorder]
-        if not in_order:
-            for node in others:
-                node.process.kill()
-        if recorder is not None:
-            self._stop(recorder, RECORDER_END_TIMEOUT_S)
         for node in others:
-            node.process.terminate()
+            if in_order:
+                node.process.terminate()
+            else:
+                node.process.kill()
         for node in others:
             self._stop(node, NODE_END_TIMEOUT_S)
+        if recorder is not None:
+            self._stop(recorder, RECORDER_END_TIMEOUT_S)
         self._notes = (
             " | ".join(
                 line.split("]: ")[-1]

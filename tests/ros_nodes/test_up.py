@@ -85,7 +85,9 @@ def test_real_pace_loses_nothing(tmp_path: Path) -> None:
     env["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(files("config").joinpath("fastdds.xml"))
     reader = subprocess.Popen([sys.executable, "-c", READER], env=env, stdout=subprocess.PIPE, text=True)
     began = time.monotonic()
-    up = pallet_twin("up", SCENE, "--pace", "real", "--out", "up", "--no-estimate", cwd=tmp_path, env=env)
+    up = pallet_twin(
+        "up", SCENE, "--pace", "real", "--guests", "1", "--out", "up", "--no-estimate", cwd=tmp_path, env=env
+    )
     assert up.returncode == 0, up.stderr
     assert (
         time.monotonic() - began > json.loads((tmp_path / "up" / "report.json").read_text())["sled"]["stop_s"]
