@@ -11,6 +11,7 @@ from sim_core.engines import make_engine
 from sim_core.force_fields import PerimeterForceFields
 from sim_core.frames import Array, PoseFrame, SledSample
 from sim_core.geometry import turned_by_half_step
+from sim_core.impacts import ImpactWatch
 from sim_core.integrity import supports
 from sim_core.monitors import Breach, Extremes, Monitors
 from sim_core.sled import build_profile, stop_sample
@@ -23,6 +24,8 @@ REST_FOR_S, REST_WITHIN_M, REST_LIMIT_S = 0.25, 5.0e-4, 3.0
 CONTACT_CHECK_HZ = 30
 SNAPSHOT_HZ = 10
 MAXIMUM_HALVINGS = 3
+IMPACT_LOOKOUT_S = 1.0 / 240.0
+"""How often blows are looked for, and how far ahead."""
 
 
 class RestWatch:
@@ -81,6 +84,13 @@ class LoadTest:
         self._rest = RestWatch(self._radii, within_m=REST_WITHIN_M, for_s=REST_FOR_S)
         self._monitors = Monitors(["pallet", *(package.id for package in scene.packages)], self._radii)
         self._ledger = self._ledger_then = EnergyLedger(scene)
+        self._impacts = ImpactWatch(0.5 * np.array(edges), self.engine.impact_share)
+        self._groups_a_lookout = max(
+            1, round(IMPACT_LOOKOUT_S * scene.sampling.samples_hz / self._samples_a_group)
+        )
+        self._split = 1
+        self._steps_then = (self._step_s, self._split)
+        self.impact_steps = 0
         self._frame_count = 0
         self._frames_a_check = max(1, scene.sampling.poses_hz // CONTACT_CHECK_HZ)
         self._frames_a_snapshot = max(1, scene.sampling.poses_hz // SNAPSHOT_HZ)
@@ -203,12 +213,28 @@ class LoadTest:
                 )
 
     def _advance(self, changes: list[Array]) -> None:
-        """Steps over samples, in groups that hold a whole number of steps."""
-        steps = self._steps_a_group * 2 ** len(self.halvings)
-        for start in range(0, len(changes), self._samples_a_group):
-            share = sum(changes[start : start + self._samples_a_group], np.zeros(3)) / steps
-            for _ in range(steps):
-                self._step(share)
+        """Steps over samples, in groups that hold a whole number of steps, smaller ones where bodies will meet."""
+        size = self._samples_a_group
+        groups = [sum(changes[i : i + size], np.zeros(3)) for i in range(0, len(changes), size)]
+        for start in range(0, len(groups), self._groups_a_lookout):
+            ahead = groups[start : start + self._groups_a_lookout]
+            self._split_before_impacts(len(ahead) * size / self.scene.sampling.samples_hz)
+            steps = self._steps_a_group * 2 ** len(self.halvings) * self._split
+            for change in ahead:
+                for _ in range(steps):
+                    self._step(change / steps)
+
+    def _split_before_impacts(self, ahead_s: float) -> None:
+        split = self._impacts.substeps(
+            self._step_s, self._split, ahead_s, *self.engine.poses(), self.engine.velocities()[0]
+        )
+        if split != self._split:
+            self._set_step(self._step_s, split)
+
+    def _set_step(self, step_s: float, split: int) -> None:
+        self._step_s, self._split = step_s, split
+        self.engine.set_step(step_s / split)
+        self._read_poses = None
 
     def _watch(self) -> Breach | None:
         """Every monitor, on the state of the frame that is due."""
@@ -239,7 +265,7 @@ class LoadTest:
     def _take_snapshot(self) -> None:
         if self._snapshot is not None:
             self.engine.forget(self._snapshot)
-        self._snapshot = self.engine.snapshot()
+        self._snapshot, self._steps_then = self.engine.snapshot(), (self._step_s, self._split)
         self._ledger_then = self._ledger
         self._since_snapshot = []
         self._since_ledger = []
@@ -248,10 +274,11 @@ class LoadTest:
         if len(self.halvings) == MAXIMUM_HALVINGS or self._snapshot is None:
             raise EndedByMonitor(breach.monitor, breach.reason, self.time_s)
         self.halvings.append(f"at {self.time_s:.3f} s: {breach.monitor}: {breach.reason}")
-        self._step_s /= 2.0
+        halved_s = self._step_s / 2.0
+        # The state was kept with positions ahead by half of the step of then.
+        self._set_step(*self._steps_then)
         self.engine.restore(self._snapshot)
-        self._read_poses = None
-        self.engine.set_step(self._step_s)
+        self._set_step(halved_s, self._split)
         self._monitors.forget_recent()
         self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
         for changes in self._since_snapshot:
@@ -268,15 +295,17 @@ class LoadTest:
         self.engine.step(delta_velocity, forces)
         self._read_poses = None
         self.step_count += 1
+        self.impact_steps += self._split > 1
 
     def _read(self) -> tuple[Array, Array]:
         """Poses at the time of the velocities: a semi-implicit step leaves positions half a step of motion ahead."""
         if self._read_poses is None:
+            step_s = self._step_s / self._split
             positions, orientations = self.engine.poses()
             linear, angular = self.engine.velocities()
             self._read_poses = (
-                positions - 0.5 * self._step_s * linear,
-                turned_by_half_step(orientations, angular, self._step_s),
+                positions - 0.5 * step_s * linear,
+                turned_by_half_step(orientations, angular, step_s),
             )
         return self._read_poses
 

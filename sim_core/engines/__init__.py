@@ -30,9 +30,15 @@ class ContactState:
 
 
 class RigidEngine(Protocol):
-    """Rigid boxes on a sled, in frame ``sled``; row 0 of every array is the pallet."""
+    """Rigid boxes on a sled, in frame ``sled``; row 0 of every array is the pallet.
+
+    Attributes:
+        name: the engine's name.
+        impact_share: largest misplacement that a blow leaves, as a share of closing speed times step.
+    """
 
     name: str
+    impact_share: float
 
     @property
     def settings(self) -> Mapping[str, object]:
@@ -72,7 +78,11 @@ class RigidEngine(Protocol):
         """Drops a kept state."""
 
     def set_step(self, step_s: float) -> None:
-        """Steps by another time from now on [s]."""
+        """Steps by another time from now on [s].
+
+        A semi-implicit step leaves positions half a step of motion ahead of the velocities: they are moved to be
+        ahead by half of the new one.
+        """
 
     def close(self) -> None:
         """Frees the engine."""

@@ -49,6 +49,7 @@ class MujocoEngine:
     """
 
     name = "mujoco"
+    impact_share = 0.75
 
     def __init__(self, scene: Scene) -> None:
         self._step_s = scene.time_step_s
@@ -213,7 +214,10 @@ class MujocoEngine:
         """See ``RigidEngine.set_step``; the contacts' damping follows the step."""
         self._mj.geom_solref[:, 1] *= self._step_s / step_s
         self._mj.pair_solref[:, 1] *= self._step_s / step_s
+        back_s = self._step_s - step_s
         self._mj.opt.timestep = self._step_s = step_s
+        # Integrates every position, quaternions included, along its velocity.
+        mujoco.mj_integratePos(self._mj, self._data.qpos, self._data.qvel, -0.5 * back_s)
 
     def close(self) -> None:
         """See ``RigidEngine.close``."""

@@ -1,0 +1,80 @@
+"""Impacts ahead: where two bodies are about to meet, the step is made smaller until they have met.
+
+A blow falls somewhere inside a step, and a step knows only its ends: the bodies are misplaced by up to a quarter
+of their closing speed times the step (three quarters in MuJoCo, where friction acts for the whole step of the
+blow; both measured over the phase of the blow). Away from blows the reads are of second order, so small steps
+are spent on blows alone.
+"""
+
+import numpy as np
+
+from sim_core.frames import Array
+from sim_core.geometry import rotation_matrices
+
+ALLOWED_M = 5.0e-5
+"""Misplacement that one blow may leave."""
+MOST_SUBSTEPS = 16
+TOUCHING_M = 1.0e-5
+"""Bodies nearer than this have met already."""
+
+
+class ImpactWatch:
+    """Says into how many sub-steps a step is to be split, from where the bodies are and how fast they close.
+
+    Bodies are taken as the upright boxes around them: falling back onto an edge after a tilt is not foreseen.
+
+    Args:
+        half_sizes: half edge lengths of the bodies [m], shape [n, 3].
+        share_of_step: the engine's largest misplacement after a blow, as a share of closing speed times step.
+    """
+
+    def __init__(self, half_sizes: Array, share_of_step: float) -> None:
+        self._half_sizes, self._share = half_sizes, share_of_step
+        self._pairs = np.triu_indices(len(half_sizes), k=1)
+
+    def substeps(
+        self,
+        step_s: float,
+        split: int,
+        ahead_s: float,
+        positions: Array,
+        orientations: Array,
+        linear: Array,
+    ) -> int:
+        """Number of sub-steps for the time ahead: 1 where no blow is foreseen, at most 16.
+
+        Args:
+            step_s: the whole step [s].
+            split: the number of sub-steps in use.
+            ahead_s: how far to look [s].
+            positions: centres [m], shape [n, 3].
+            orientations: unit quaternions x, y, z, w, shape [n, 4].
+            linear: velocities [m/s], shape [n, 3].
+        """
+        slowest = ALLOWED_M / (self._share * step_s)
+        if not len(linear) or (np.ptp(linear, axis=0) < slowest).all():
+            return 1
+        # The whole step's positions are further ahead: going back to it must not pass over a blow.
+        lead_s = 0.5 * step_s * (1.0 - 1.0 / split)
+        closing = self._closing_speed(1.25 * ahead_s + lead_s, positions, orientations, linear)
+        if closing < slowest:
+            return 1
+        return int(min(2 ** int(np.ceil(np.log2(closing / slowest))), MOST_SUBSTEPS))
+
+    def _closing_speed(self, ahead_s: float, positions: Array, orientations: Array, linear: Array) -> float:
+        """Largest speed at which two bodies will meet within the time ahead [m/s]."""
+        first, second = self._pairs
+        reach = np.einsum("nij,nj->ni", np.abs(rotation_matrices(orientations)), self._half_sizes)
+        apart = positions[second] - positions[first]
+        gaps = np.abs(apart) - reach[first] - reach[second]
+        speeds = -np.sign(apart) * (linear[second] - linear[first])
+        axis = gaps.argmax(axis=1)[:, None]
+        gap, speed = (np.take_along_axis(values, axis, axis=1)[:, 0] for values in (gaps, speeds))
+        meets = (gap > TOUCHING_M) & (gap < ahead_s * speed)
+        if not meets.any():
+            return 0.0
+        after = gaps[meets] - speeds[meets] * ahead_s
+        # Bodies that pass each other on another axis don't meet.
+        np.put_along_axis(after, axis[meets], -1.0, axis=1)
+        hits = (after < 0.0).all(axis=1)
+        return float(speed[meets][hits].max(initial=0.0))
