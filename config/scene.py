@@ -259,14 +259,28 @@ class Sampling(Part):
 
 
 class Solver(Part):
-    """Engine and accuracy: a tolerance for the error estimate, or explicit settings."""
+    """Engine and accuracy: a tolerance that the step is made to keep, or explicit settings."""
 
-    engine: Literal["bullet", "mujoco"] = "bullet"
-    tolerance_mm: float = Field(
-        default=1.0, gt=0.0, le=1000.0, description="wanted bound of the error estimate"
+    engine: Literal["bullet", "mujoco", "auto"] = Field(
+        default="bullet",
+        description="auto: the cheapest installed one that the work-precision table shows inside the tolerance",
     )
-    time_step_s: float | None = Field(default=None, ge=1.0e-5, le=0.02)
+    tolerance_mm: float | None = Field(
+        default=None,
+        ge=0.05,
+        le=1000.0,
+        description="largest error estimate wanted: the step is halved until it is kept, three times at most",
+    )
+    time_step_s: float | None = Field(
+        default=None, ge=1.0e-5, le=0.02, description="explicit: then a tolerance doesn't change it"
+    )
     iterations: int | None = Field(default=None, ge=1, le=10_000)
+
+    @model_validator(mode="after")
+    def _auto_chooses_all(self) -> Self:
+        if self.engine == "auto" and (self.time_step_s is not None or self.iterations is not None):
+            raise ValueError("engine auto chooses step and iterations: name an engine, or leave them out")
+        return self
 
 
 class Scene(Part):

@@ -49,6 +49,9 @@ EstimateOption = Annotated[
         "--estimate/--no-estimate", help="Run the test once more at twice the step for an error estimate."
     ),
 ]
+PageOption = Annotated[
+    bool, typer.Option("--page/--no-page", help="Write report.html; its figures take about half a second.")
+]
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")
 ]
@@ -69,6 +72,7 @@ def run(
         bool,
         typer.Option("--cross-check", help="Run it on the other engine too, and say whether the two agree."),
     ] = False,
+    page: PageOption = True,
     overwrite: OverwriteOption = False,
     require: RequireOption = None,
     as_json: JsonOption = False,
@@ -85,7 +89,7 @@ def run(
     require_integrity(loaded)
     if cross_check and find_spec("mujoco") is None:
         raise RefusedInput("--cross-check", "mujoco", "is not installed: pip install 'pallet-twin[mujoco]'")
-    where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag)
+    where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag, with_page=page)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_headless(
             loaded, where, with_estimate=estimate, cross_check=cross_check, on_progress=on_progress
@@ -206,6 +210,50 @@ def accuracy(
         run_accuracy(out, scene=loaded, quick=quick, on_progress=count)
     print(f"page    {out / 'accuracy.html'}")
     print(f"table   {out / 'accuracy.csv'}")
+
+
+@app.command()
+def agreement(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for table and figure; resumed if it exists.")
+    ] = Path("runs/agreement"),
+    quick: Annotated[bool, typer.Option("--quick", help="A handful of scenes.")] = False,
+) -> None:
+    """Run a grid of layouts, levels and frictions on both engines, and say how often their verdicts agree.
+
+    Rows that the folder already holds are not run again. Needs the extra `mujoco`.
+    """
+    from sim_core.accuracy.agreement import run_agreement
+
+    if find_spec("mujoco") is None:
+        raise RefusedInput("agreement", "mujoco", "is not installed: pip install 'pallet-twin[mujoco]'")
+    with output.counter("engine agreement", quiet=False) as count:
+        run_agreement(out, quick=quick, on_progress=count)
+    print(f"table   {out / 'agreement.csv'}")
+    print(f"figure  {out / 'agreement.svg'}")
+
+
+@app.command()
+def parts(
+    scene: SceneArgument,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder for the tables.")] = Path("runs/parts"),
+    set_: SetOption = None,
+    repeats: Annotated[int, typer.Option(min=1, max=50, help="Timed runs a row.")] = 5,
+    only: Annotated[
+        list[str] | None, typer.Option(metavar="ROW", help="Only these rows. May be repeated.")
+    ] = None,
+) -> None:
+    """Measure what each optional part of a test costs: time, memory, modules, nodes and topics, with it and without.
+
+    Every run is a process of its own, taking turns, so that other work on the machine hits all rows alike.
+    """
+    from recordings.recorded_sled import load_scene
+    from ros_nodes.parts_cost import measure_parts
+
+    loaded = load_scene(scene, set_ or ())
+    with output.counter("cost of the parts", quiet=False) as count:
+        measure_parts(loaded, out, repeats=repeats, only=only or (), on_progress=count)
+    print(f"table   {out / 'parts.md'}")
 
 
 @app.command()

@@ -5,6 +5,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,9 @@ from config.scene import Scene
 from sim_core.companion import Companion, CrossCheck, ErrorEstimate
 from sim_core.integrity import require_integrity
 from sim_core.report import Report, full_report, judgement, report_json, worst_by_rule, write_report
-from sim_core.run import run_test
+from sim_core.run import TestResult, run_test
+from sim_core.tolerance import run_to_tolerance
+from sim_core.work_precision import with_setting
 
 RESULT_NAMES = {"bag", "report.json", "report.html", "report.json.part", "report.html.part"}
 OnProgress = Callable[[float, dict[str, str]], None]
@@ -26,7 +29,7 @@ class TestFolder:
     Attributes:
         folder: the folder.
         report: ``report.json``.
-        page: ``report.html``.
+        page: ``report.html``, or None when none was asked for.
         bag: the bag's directory, or None when nothing was recorded.
     """
 
@@ -34,7 +37,7 @@ class TestFolder:
 
     folder: Path
     report: Path
-    page: Path
+    page: Path | None
     bag: Path | None
 
 
@@ -50,7 +53,13 @@ class TestOutcome:
 
 
 def make_folder(
-    scene: Scene, out: Path | None, *, overwrite: bool, with_bag: bool, bag: Path | None = None
+    scene: Scene,
+    out: Path | None,
+    *,
+    overwrite: bool,
+    with_bag: bool,
+    bag: Path | None = None,
+    with_page: bool = True,
 ) -> TestFolder:
     """Makes the folder of a test: ``out``, or the first free one of ``runs/NAME``, ``runs/NAME-2`` and so on.
 
@@ -64,7 +73,24 @@ def make_folder(
     except OSError as error:
         raise RefusedInput("--out", str(out or "runs"), error.strerror or "cannot be made") from None
     where = bag if bag is not None else folder / "bag"
-    return TestFolder(folder, folder / "report.json", folder / "report.html", where if with_bag else None)
+    page = folder / "report.html" if with_page else None
+    return TestFolder(folder, folder / "report.json", page, where if with_bag else None)
+
+
+@dataclass(frozen=True)
+class _Attempt:
+    """One run in this process with its judgement."""
+
+    result: TestResult
+    judged: Report
+
+    @property
+    def smallest_step_s(self) -> float:
+        return self.result.physics.smallest_step_s
+
+    @property
+    def is_complete(self) -> bool:
+        return self.result.ended_by is None
 
 
 def run_headless(
@@ -75,45 +101,45 @@ def run_headless(
     cross_check: bool = False,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
-    """Runs a test in this process.
+    """Runs a test in this process, again at smaller steps where the scene's tolerance asks for it.
 
     Raises:
-        RefusedInput: the load fails its integrity check.
+        RefusedInput: the load fails its integrity check, or a tolerance is to be kept without an estimate.
     """
-    companion = Companion(scene) if with_estimate and scene.packages else None
-    other = CrossCheck(scene) if cross_check and scene.packages else None
-    checked = None
+    other = CrossCheck(with_setting(scene)[0]) if cross_check and scene.packages else None
     try:
-        if where.bag is None:
-            result = run_test(scene, on_progress=on_progress)
-            judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
-        else:
-            from recordings.test_bag import TestBag
-
-            with TestBag(where.bag, scene) as bag:
-                result = run_test(scene, observers=[bag], on_progress=on_progress)
-                judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
-                bag.finish(report_json(judged, compact=True))
-        estimate = (
-            companion.estimate(worst_by_rule(judged), result.physics.smallest_step_s)
-            if companion is not None
-            else None
+        refined = run_to_tolerance(
+            scene, partial(_attempt, bag=where.bag, on_progress=on_progress), with_estimate=with_estimate
         )
-        if other is not None:
-            checked = other.compare(judged["rules"])
+        result, judged = refined.result.result, refined.result.judged
+        checked = other.compare(judged["rules"]) if other is not None else None
     except BaseException:
-        for beside in (companion, other):
-            if beside is not None:
-                beside.cancel()
+        if other is not None:
+            other.cancel()
         raise
     report = full_report(
-        judged, scene, physics=result.physics, findings=result.findings, estimate=estimate,
-        wall_s=result.wall_s, mode="run",
+        judged, refined.scene, physics=result.physics, findings=result.findings, estimate=refined.estimate,
+        wall_s=result.wall_s, mode="run", why=refined.why, refinements=refined.refinements,
     )  # fmt: skip
     if checked is not None:
         report["cross_check"] = checked
-    _write(report, scene, where)
+    _write(report, refined.scene, where)
     return TestOutcome(report, where, result.ended_by)
+
+
+def _attempt(scene: Scene, *, bag: Path | None, on_progress: OnProgress | None) -> _Attempt:
+    if bag is None:
+        result = run_test(scene, on_progress=on_progress)
+        return _Attempt(result, judgement(scene, result.judge, is_complete=result.ended_by is None))
+    from recordings.test_bag import TestBag
+
+    # What is there is a coarser attempt's.
+    shutil.rmtree(bag, ignore_errors=True)
+    with TestBag(bag, scene) as recording:
+        result = run_test(scene, observers=[recording], on_progress=on_progress)
+        judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
+        recording.finish(report_json(judged, compact=True))
+    return _Attempt(result, judged)
 
 
 def run_graph(
@@ -126,20 +152,31 @@ def run_graph(
     guests: int = 0,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
-    """Runs a test as a node graph; the estimate's companion runs after it, so as not to slow the nodes.
+    """Runs a test as a node graph.
+
+    The estimate's companion runs after it, so as not to slow the nodes. Where the scene asks for a tolerance, the step
+    that keeps it is found first, in this process.
 
     Raises:
-        RefusedInput: the load fails its integrity check.
+        RefusedInput: the load fails its integrity check, or a tolerance is to be kept without an estimate.
         NodeDied: a node ended before the test did; the bag until then is whole.
     """
     from ros_nodes.supervisor import Supervisor, configure_middleware
 
     findings = require_integrity(scene)
     configure_middleware(discovery)
+    estimate: ErrorEstimate | None = None
+    refinements: tuple[str, ...] = ()
+    if scene.solver.tolerance_mm is not None:
+        planned = run_to_tolerance(
+            scene, partial(_attempt, bag=None, on_progress=on_progress), with_estimate=with_estimate
+        )
+        scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements
+    else:
+        scene, why = with_setting(scene)
     result = Supervisor(scene, pace, where.bag, on_progress, guests).run()
     judged = json.loads(result.judgement_json)
-    estimate: ErrorEstimate | None = None
-    if with_estimate and scene.packages and result.ended_by is None:
+    if estimate is None and with_estimate and scene.packages and result.ended_by is None:
         companion = Companion(scene)
         try:
             estimate = companion.estimate(worst_by_rule(judged), result.physics.smallest_step_s)
@@ -148,7 +185,7 @@ def run_graph(
             raise
     report = full_report(
         judged, scene, physics=result.physics, findings=findings, estimate=estimate, wall_s=result.wall_s,
-        mode=f"up {pace}",
+        mode=f"up {pace}", why=why, refinements=refinements,
     )  # fmt: skip
     if result.notes:
         report["numerics"]["pace"] = result.notes
@@ -157,10 +194,11 @@ def run_graph(
 
 
 def _write(report: Report, scene: Scene, where: TestFolder) -> None:
-    from sim_core.report_html import write_report_html
-
     write_report(report, where.report)
-    write_report_html(report, scene, where.page)
+    if where.page is not None:
+        from sim_core.report_html import write_report_html
+
+        write_report_html(report, scene, where.page)
 
 
 def _claim(folder: Path, overwrite: bool) -> Path:

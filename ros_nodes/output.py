@@ -96,7 +96,7 @@ def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
     """Shows a finished test and ends the process where its outcome asks for a code other than 0."""
     paths = {
         "report": str(outcome.where.report),
-        "page": str(outcome.where.page),
+        "page": str(outcome.where.page) if outcome.where.page is not None else None,
         "bag": str(outcome.where.bag) if outcome.where.bag is not None else None,
     }
     if as_json:
@@ -183,6 +183,12 @@ def _show_numerics(numerics: Mapping[str, Any]) -> None:
         f" {numerics['simulated_s']:.2f} s simulated in {numerics['wall_time_s']:.2f} s,"
         f" {numerics['real_time_factor']:.2f} x real time"
     )
+    if numerics["refinements"]:
+        print(
+            f"made finer after {', '.join(numerics['refinements'])}; began with {numerics['setting_chosen']}"
+        )
+    elif numerics["tolerance_mm"] is not None:
+        print(numerics["setting_chosen"])
     for line in numerics["unmet_friction"]:
         print(f"friction not met: {line}")
     if "pace" in numerics:

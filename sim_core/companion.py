@@ -1,9 +1,12 @@
-"""Second opinions: the same test at another step or on another engine, in a process of its own.
+"""Second opinions: the same test at a coarser setting or on another engine, in a process of its own.
 
-The companion takes twice the step; half of it, and the difference doubled, where twice does not fit the
-frames or does not let the load settle. With an error of first order or better, that is the error or more. Below a few
-hundredths of a millimetre that no longer holds: sticking and slipping begin and end on the grid of the steps,
-which makes an error that jumps from step to step; so the estimate has a floor.
+The companion takes twice the step and half the iterations, an eighth of the work of a step each way; its error is that
+of the test times two to four, or more, so the difference is the test's error or more. Where that does not let the
+load settle it keeps the iterations, and at last takes half the step, twice the iterations and the difference doubled.
+
+Sticking and slipping begin and end on the grid of the steps, so an error can jump from step to step and the
+difference be small by chance. Hence the floor: g·h², what gravity moves in a step, for no event is timed better, and
+never less than what blows may leave. ``docs/accuracy.md`` says how often the true error lies inside.
 Companions run as ``python -m sim_core.companion`` with the scenes to try on standard input.
 """
 
@@ -17,12 +20,13 @@ from typing import Any, Literal
 from config.errors import EndedByMonitor, PalletTwinError
 from config.scene import Scene, Solver
 from config.scene_file import scene_from_json
+from sim_core.frames import GRAVITY
 from sim_core.judge import EumosJudge
 from sim_core.load_test import LoadTest
 from sim_core.sled import sled_samples
 
-FLOOR_MM = 0.05
-"""Twice the largest error that the closed-form cases show where the difference is smaller than it."""
+LEAST_MM = 0.05
+"""What a blow may leave, see ``sim_core/impacts.py``."""
 
 
 @dataclass(frozen=True)
@@ -63,20 +67,59 @@ class Answer:
     smallest_step_s: float = 0.0
 
 
+def floor_mm(step_s: float) -> float:
+    """The least error that a test at this step [s] is credited with [mm]: g·h², or what a blow leaves."""
+    return max(1000.0 * GRAVITY * step_s**2, LEAST_MM)
+
+
 def companion_scenes(scene: Scene) -> list[Scene]:
-    """The scene at twice its step, where that fits between the frames, and at half of it."""
+    """The scene at twice its step with half its iterations, with all of them, and at half its step with twice as many.
+
+    Pose frames become as many fewer as the step needs; nobody but the judge sees them.
+    """
     candidates = []
-    for factor in (2.0, 0.5):
-        solver = scene.solver.model_copy(
-            update={"time_step_s": factor * scene.time_step_s, "iterations": scene.iterations}
-        )
-        candidate = scene.model_copy(update={"solver": solver})
-        try:
-            candidate.steps_and_samples()
-        except ValueError:
-            continue
-        candidates.append(candidate)
+    for factor, share in ((2.0, 0.5), (2.0, 1.0), (0.5, 2.0)):
+        step_s = factor * scene.time_step_s
+        iterations = max(1, round(share * scene.iterations))
+        solver = scene.solver.model_copy(update={"time_step_s": step_s, "iterations": iterations})
+        for poses_hz in (scene.sampling.poses_hz, scene.sampling.poses_hz // 2):
+            sampling = scene.sampling.model_copy(update={"poses_hz": max(1, poses_hz)})
+            candidate = scene.model_copy(update={"solver": solver, "sampling": sampling})
+            try:
+                candidate.steps_and_samples()
+            except ValueError:
+                continue
+            candidates.append(candidate)
+            break
     return candidates
+
+
+def compared(
+    answer: Answer, step_s: float, worst_mm: Mapping[str, float], smallest_step_s: float
+) -> ErrorEstimate:
+    """The error estimate of a test from what its companion came to.
+
+    Args:
+        answer: the companion's answer.
+        step_s: the test's time step [s].
+        worst_mm: the test's worst displacement by rule [mm].
+        smallest_step_s: the step that the test's monitors left it with [s].
+    """
+    problem = answer.problem
+    if problem is None and 0.75 < answer.smallest_step_s / smallest_step_s < 1.5:
+        problem = (
+            f"both runs had to halve their steps to {1000.0 * smallest_step_s:.3g} ms, so they tell nothing"
+        )
+    if problem is not None:
+        return ErrorEstimate(answer.step_s, {}, None, problem, answer.worst_mm)
+    # Half the step has half the error or less: it differs by half of the error or more.
+    factor = 1.0 if answer.step_s > step_s else 2.0
+    differences = {
+        rule: max(factor * abs(worst - answer.worst_mm[rule]), floor_mm(step_s))
+        for rule, worst in worst_mm.items()
+        if rule in answer.worst_mm
+    }
+    return ErrorEstimate(answer.step_s, differences, max(differences.values(), default=0.0))
 
 
 class BackgroundTest:
@@ -137,20 +180,7 @@ class Companion(BackgroundTest):
             worst_mm: the real run's worst displacement by rule [mm].
             smallest_step_s: the step that the real run's monitors left it with [s].
         """
-        answer = self.answer()
-        problem = answer.problem
-        if problem is None and 0.75 < answer.smallest_step_s / smallest_step_s < 1.5:
-            problem = f"both runs had to halve their steps to {1000.0 * smallest_step_s:.3g} ms, so they tell nothing"
-        if problem is not None:
-            return ErrorEstimate(answer.step_s, {}, None, problem, answer.worst_mm)
-        # Half the step has half the error or less: it differs by half of the error or more.
-        factor = 1.0 if answer.step_s > self._step_s else 2.0
-        differences = {
-            rule: max(factor * abs(worst - answer.worst_mm[rule]), FLOOR_MM)
-            for rule, worst in worst_mm.items()
-            if rule in answer.worst_mm
-        }
-        return ErrorEstimate(answer.step_s, differences, max(differences.values(), default=0.0))
+        return compared(self.answer(), self._step_s, worst_mm, smallest_step_s)
 
 
 class CrossCheck(BackgroundTest):
@@ -162,7 +192,7 @@ class CrossCheck(BackgroundTest):
 
     def __init__(self, scene: Scene) -> None:
         self._engine: Literal["bullet", "mujoco"] = "mujoco" if scene.solver.engine == "bullet" else "bullet"
-        solver = Solver(engine=self._engine, tolerance_mm=scene.solver.tolerance_mm)
+        solver = Solver(engine=self._engine)
         super().__init__([scene.model_copy(update={"solver": solver})])
 
     def compare(self, rules: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -191,8 +221,9 @@ class CrossCheck(BackgroundTest):
 
 
 def _answer(scene: Scene) -> tuple[Answer, bool]:
-    """What a test comes to, and whether its load settled."""
-    test, judge = LoadTest(scene), EumosJudge(scene)
+    """What a test comes to, and whether it stayed at its own step from a settled load to its end."""
+    # The residual's monitor would halve a coarse test to the step of the one that it is compared with.
+    test, judge = LoadTest(scene, with_residual_monitor=False), EumosJudge(scene)
     problem = None
     try:
         for sample in sled_samples(scene):
@@ -208,21 +239,30 @@ def _answer(scene: Scene) -> tuple[Answer, bool]:
     rules = judge.rules() if judge.frame_count else []
     worst = {rule.rule: rule.worst_mm for rule in rules if rule.worst_mm is not None}
     states: dict[str, str] = {rule.rule: rule.state for rule in rules}
-    return Answer(worst, states, scene.time_step_s, problem, test.smallest_step_s), judge.frame_count > 0
+    answer = Answer(worst, states, scene.time_step_s, problem, test.smallest_step_s)
+    return answer, problem is None and not test.halvings
 
 
 def main() -> None:
-    """Reads resolved scenes, a line each, and prints the answer of the first whose load settles, as JSON."""
-    answer = Answer({}, {}, 0.0, "no scene was given")
+    """Reads resolved scenes, a line each, and prints as JSON the answer of the first that needs no halved step.
+
+    Where all of them do, the first that ran to its end, or at least began.
+    """
+    answers = []
     for line in sys.stdin.read().splitlines():
         scene = scene_from_json(line)
         try:
-            answer, is_settled = _answer(scene)
+            answer, is_sound = _answer(scene)
         except PalletTwinError as error:
-            answer, is_settled = Answer({}, {}, scene.time_step_s, str(error)), True
-        if is_settled:
+            answer, is_sound = Answer({}, {}, scene.time_step_s, str(error)), True
+        answers.append(answer)
+        if is_sound:
             break
-    print(json.dumps(asdict(answer)))
+    # Later is better only by being sound: of the others the earliest with the most to say.
+    if not (answers and is_sound):
+        answers.sort(key=lambda answer: (answer.problem is not None, not answer.worst_mm))
+        answers = answers[:1]
+    print(json.dumps(asdict(answers[-1] if answers else Answer({}, {}, 0.0, "no scene was given"))))
 
 
 if __name__ == "__main__":

@@ -19,15 +19,46 @@ def yaw_quaternion(yaw_deg: float) -> tuple[float, float, float, float]:
 
 def rotation_matrices(orientations: Array) -> Array:
     """Rotation matrices of unit quaternions x, y, z, w: shape [n, 4] to [n, 3, 3]."""
-    x, y, z, w = orientations.T
-    return np.stack(
-        [
-            1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w),
-            2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w),
-            2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y),
-        ],
-        axis=1,
-    ).reshape(-1, 3, 3)  # fmt: skip
+    # Row by row the same sums whatever the number of rows: a matrix product might round them otherwise.
+    products = orientations[:, _FIRST] * orientations[:, _SECOND]
+    entries: Array = np.einsum("np,pe->ne", products, _PRODUCTS_TO_MATRIX) + np.eye(3).ravel()
+    return entries.reshape(-1, 3, 3)
+
+
+def _products_to_matrix() -> Array:
+    """How the nine entries of a rotation matrix less the identity are made of products of components."""
+    x, y, z, w = range(4)
+    terms = {
+        (0, 0): [(y, y, -2.0), (z, z, -2.0)], (0, 1): [(x, y, 2.0), (z, w, -2.0)],
+        (0, 2): [(x, z, 2.0), (y, w, 2.0)], (1, 0): [(x, y, 2.0), (z, w, 2.0)],
+        (1, 1): [(x, x, -2.0), (z, z, -2.0)], (1, 2): [(y, z, 2.0), (x, w, -2.0)],
+        (2, 0): [(x, z, 2.0), (y, w, -2.0)], (2, 1): [(y, z, 2.0), (x, w, 2.0)],
+        (2, 2): [(x, x, -2.0), (y, y, -2.0)],
+    }  # fmt: skip
+    pairs = list(zip(_FIRST.tolist(), _SECOND.tolist(), strict=True))
+    matrix = np.zeros((len(pairs), 9))
+    for (row, column), entries in terms.items():
+        for first, second, factor in entries:
+            matrix[pairs.index((first, second)), 3 * row + column] = factor
+    return matrix
+
+
+def _products_to_rate() -> Array:
+    """How q̇ = ½·ω·q is made of the products of q's components x, y, z, w with those of ω."""
+    matrix = np.zeros((4, 3, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        # ½·(w·ω + ω × v) for the vector part, −½·ω·v for the scalar.
+        matrix[3, i, i] = 0.5
+        matrix[k, j, i] = 0.5
+        matrix[j, k, i] = -0.5
+        matrix[i, i, 3] = -0.5
+    return matrix.reshape(12, 4)
+
+
+_FIRST, _SECOND = np.triu_indices(4)
+_PRODUCTS_TO_MATRIX = _products_to_matrix()
+_PRODUCTS_TO_RATE = _products_to_rate()
 
 
 def box_corners(positions: Array, orientations: Array, half_sizes: Array) -> Array:
@@ -51,10 +82,8 @@ def turned_by_half_step(orientations: Array, angular_velocities: Array, step_s: 
         angular_velocities: [rad/s], shape [n, 3], in the fixed frame.
         step_s: the step h [s].
     """
-    vector, scalar = orientations[:, :3], orientations[:, 3:]
-    rate = np.empty_like(orientations)
-    rate[:, :3] = 0.5 * (scalar * angular_velocities + np.cross(angular_velocities, vector))
-    rate[:, 3] = -0.5 * np.einsum("ij,ij->i", angular_velocities, vector)
+    products = (orientations[:, :, None] * angular_velocities[:, None, :]).reshape(-1, 12)
+    rate = np.einsum("np,pk->nk", products, _PRODUCTS_TO_RATE)
     moved = orientations - 0.5 * step_s * rate
     normalised: Array = moved / np.linalg.norm(moved, axis=1, keepdims=True)
     return normalised

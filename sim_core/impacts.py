@@ -7,6 +7,7 @@ are spent on blows alone.
 """
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sim_core.frames import Array
 from sim_core.geometry import rotation_matrices
@@ -16,20 +17,26 @@ ALLOWED_M = 5.0e-5
 MOST_SUBSTEPS = 16
 TOUCHING_M = 1.0e-5
 """Bodies nearer than this have met already."""
+TOPPLED_UPRIGHT = 0.7
+"""Cosine of a tilt of about 45°: what has toppled has failed, and where it lands is chance."""
 
 
 class ImpactWatch:
     """Says into how many sub-steps a step is to be split, from where the bodies are and how fast they close.
 
     Bodies are taken as the upright boxes around them: falling back onto an edge after a tilt is not foreseen.
+    Bodies that have toppled, or fallen by more than half their height, don't count: no step is small enough for
+    a collapse.
 
     Args:
         half_sizes: half edge lengths of the bodies [m], shape [n, 3].
+        heights: centres' heights at the start [m], shape [n].
         share_of_step: the engine's largest misplacement after a blow, as a share of closing speed times step.
     """
 
-    def __init__(self, half_sizes: Array, share_of_step: float) -> None:
+    def __init__(self, half_sizes: Array, heights: Array, share_of_step: float) -> None:
         self._half_sizes, self._share = half_sizes, share_of_step
+        self._lowest = heights - half_sizes[:, 2]
         self._pairs = np.triu_indices(len(half_sizes), k=1)
 
     def substeps(
@@ -61,16 +68,28 @@ class ImpactWatch:
             return 1
         return int(min(2 ** int(np.ceil(np.log2(closing / slowest))), MOST_SUBSTEPS))
 
+    def standing(self, positions: Array, turns: Array) -> NDArray[np.bool_]:
+        """Which bodies have neither toppled nor fallen, shape [n].
+
+        Args:
+            positions: centres [m], shape [n, 3].
+            turns: rotation matrices, shape [n, 3, 3].
+        """
+        upright: NDArray[np.bool_] = turns[:, 2, 2] > TOPPLED_UPRIGHT
+        return upright & (positions[:, 2] >= self._lowest)
+
     def _closing_speed(self, ahead_s: float, positions: Array, orientations: Array, linear: Array) -> float:
         """Largest speed at which two bodies will meet within the time ahead [m/s]."""
+        turns = rotation_matrices(orientations)
+        stands = self.standing(positions, turns)
         first, second = self._pairs
-        reach = np.einsum("nij,nj->ni", np.abs(rotation_matrices(orientations)), self._half_sizes)
+        reach = np.einsum("nij,nj->ni", np.abs(turns), self._half_sizes)
         apart = positions[second] - positions[first]
         gaps = np.abs(apart) - reach[first] - reach[second]
         speeds = -np.sign(apart) * (linear[second] - linear[first])
         axis = gaps.argmax(axis=1)[:, None]
         gap, speed = (np.take_along_axis(values, axis, axis=1)[:, 0] for values in (gaps, speeds))
-        meets = (gap > TOUCHING_M) & (gap < ahead_s * speed)
+        meets = (gap > TOUCHING_M) & (gap < ahead_s * speed) & stands[first] & stands[second]
         if not meets.any():
             return 0.0
         after = gaps[meets] - speeds[meets] * ahead_s

@@ -87,7 +87,6 @@ class EumosJudge:
         self._layers = _layer_numbers(scene)
         self.frame_count = 0
         self._layer_peak = 0.0
-        self._band_masks: list[NDArray[np.bool_]] = []
         self._times: list[float] = []
         self._band_rows: list[Array] = []
 
@@ -115,9 +114,7 @@ class EumosJudge:
         if self._limits.layer_fraction is not None:
             self._layer_peak = max(self._layer_peak, self._layer_shift())
         self._times.append(time_s)
-        self._band_rows.append(
-            np.array([distance[mask].max() if mask.any() else np.nan for mask in self._band_masks])
-        )
+        self._band_rows.append(np.maximum.reduceat(distance.ravel()[self._by_band], self._band_starts))
         self.frame_count += 1
 
     def _begin(self, frame: PoseFrame, corners: Array) -> None:
@@ -132,7 +129,10 @@ class EumosJudge:
         )
         band = np.clip(np.searchsorted(self._band_edges, corners[:, :, 2] - TIE_M) - 1, 0, BAND_COUNT - 1)
         is_package = (np.arange(len(corners)) > 0)[:, None]
-        self._band_masks = [(band == k) & is_package for k in range(BAND_COUNT)]
+        # Corners of packages, band after band, and where each band that has any begins.
+        shown = np.where(is_package, band, BAND_COUNT).ravel()
+        self._by_band = np.argsort(shown, kind="stable")[: int(is_package.sum()) * 8]
+        self._bands, self._band_starts = np.unique(shown[self._by_band], return_index=True)
 
     def rules(self) -> list[RuleState]:
         """Every rule as it stands now, in the standard's order.
@@ -186,8 +186,7 @@ class EumosJudge:
         """Displacement by height band over time, thinned to at most ``rate_hz``, the peaks kept."""
         kept: list[int] = []
         rows = np.array(self._band_rows)
-        filled = [k for k in range(BAND_COUNT) if self._band_masks[k].any()]
-        peaks = set(rows[:, filled].argmax(axis=0).tolist())
+        peaks = set(rows.argmax(axis=0).tolist()) if len(self._bands) else set()
         for i, time_s in enumerate(self._times):
             is_due = not kept or time_s - self._times[kept[-1]] >= 1.0 / rate_hz - 1.0e-9
             if is_due or i in peaks or i == len(self._times) - 1:
@@ -195,8 +194,8 @@ class EumosJudge:
         return Series(
             times_s=[self._times[i] for i in kept],
             band_edges_m=self._band_edges.tolist(),
-            displacement_mm=[[1000.0 * float(rows[i, k]) for i in kept] for k in filled],
-            bands=filled,
+            displacement_mm=[[1000.0 * float(rows[i, k]) for i in kept] for k in range(len(self._bands))],
+            bands=self._bands.tolist(),
         )
 
     def moments(self) -> list[Moment]:

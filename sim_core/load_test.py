@@ -10,7 +10,7 @@ from sim_core.energy import EnergyLedger
 from sim_core.engines import make_engine
 from sim_core.force_fields import PerimeterForceFields
 from sim_core.frames import Array, PoseFrame, SledSample
-from sim_core.geometry import turned_by_half_step
+from sim_core.geometry import rotation_matrices, turned_by_half_step
 from sim_core.impacts import ImpactWatch
 from sim_core.integrity import supports
 from sim_core.monitors import Breach, Extremes, Monitors
@@ -61,14 +61,16 @@ class LoadTest:
 
     Args:
         scene: a resolved scene that passed its integrity check.
+        with_residual_monitor: False lets the solver leave what it leaves, for a run that is meant to be coarse.
 
     Raises:
         RefusedInput: the profile cannot be built.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene: Scene, *, with_residual_monitor: bool = True) -> None:
         self.scene = scene
         self.engine = make_engine(scene)
+        self._residual_limit = self.engine.residual_limit if with_residual_monitor else None
         self.settle_s = 0.0
         self.step_count = 0
         self.halvings: list[str] = []
@@ -84,7 +86,9 @@ class LoadTest:
         self._rest = RestWatch(self._radii, within_m=REST_WITHIN_M, for_s=REST_FOR_S)
         self._monitors = Monitors(["pallet", *(package.id for package in scene.packages)], self._radii)
         self._ledger = self._ledger_then = EnergyLedger(scene)
-        self._impacts = ImpactWatch(0.5 * np.array(edges), self.engine.impact_share)
+        self._impacts = ImpactWatch(
+            0.5 * np.array(edges), self.engine.poses()[0][:, 2].copy(), self.engine.impact_share
+        )
         self._groups_a_lookout = max(
             1, round(IMPACT_LOOKOUT_S * scene.sampling.samples_hz / self._samples_a_group)
         )
@@ -245,12 +249,21 @@ class LoadTest:
             frequency = self._fields.stiffest_frequency(positions, orientations)
             breach = self._monitors.stiffness(self._step_s, frequency)
         if breach is None and self._frame_count % self._frames_a_check == 0:
-            breach = self._monitors.contacts(self.engine.contacts(), self.engine.residual())
+            breach = self._watch_contacts(positions, orientations)
         if breach is None:
             ledger = self._accounted()
             breach = self._monitors.energy(ledger.residual)
             if breach is None:
                 self._ledger, self._since_ledger = ledger, []
+        return breach
+
+    def _watch_contacts(self, positions: Array, orientations: Array) -> Breach | None:
+        residual, limit = self.engine.residual(), self._residual_limit
+        breach = self._monitors.contacts(self.engine.contacts(), residual)
+        # In a collapse the residual is large whatever the step, and the verdict is settled.
+        stands = self._impacts.standing(positions, rotation_matrices(orientations)).all()
+        if breach is None and limit is not None and stands:
+            breach = self._monitors.unsolved(residual, limit)
         return breach
 
     def _accounted(self) -> EnergyLedger:

@@ -1,6 +1,8 @@
 """What a run watches in itself, each with a threshold that has a reason."""
 
+from collections import deque
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
@@ -14,6 +16,8 @@ MAXIMUM_DROP_M = 1.0
 MAXIMUM_RELATIVE_PENETRATION = 0.02
 """Of the smaller body's smallest edge, three checks running: an impact passes, a load that sinks does not."""
 PENETRATION_CHECKS = 3
+RESIDUAL_CHECKS = 10
+"""A blow leaves a large residual once; the median of this many checks, a third of a second, is what stays unsolved."""
 MAXIMUM_STEP_PHASE = 0.3
 """Step times the frequency of the stiffest spring: below it a spring's peak is within 1 % (the explicit limit is 2)."""
 MAXIMUM_ENERGY_RESIDUAL = 0.05
@@ -60,11 +64,13 @@ class Monitors:
     def __init__(self, names: list[str], radii: Array) -> None:
         self._names, self._radii = names, radii
         self._deep_checks = 0
+        self._residuals: deque[float] = deque(maxlen=RESIDUAL_CHECKS)
         self.extremes = Extremes()
 
     def forget_recent(self) -> None:
         """Starts counting anew, after the state was rolled back."""
         self._deep_checks = 0
+        self._residuals.clear()
 
     def motion(self, positions: Array, linear: Array, angular: Array) -> Breach | None:
         """Finite state, place and speed; shapes [n, 3], metres and radians a second."""
@@ -99,6 +105,16 @@ class Monitors:
                 "penetration",
                 f"{state.deepest[0]} and {state.deepest[1]} overlap by {100.0 * state.relative_penetration:.1f} %"
                 f" of the smaller one's smallest edge, limit {100.0 * MAXIMUM_RELATIVE_PENETRATION:.0f} %",
+            )
+        return None
+
+    def unsolved(self, residual: float, limit: float) -> Breach | None:
+        """The solver's remaining residual, in the engine's measure: what stays over a third of a second is creep."""
+        self._residuals.append(residual)
+        usual = median(self._residuals)
+        if len(self._residuals) == RESIDUAL_CHECKS and usual > limit:
+            return Breach(
+                "residual", f"the solver leaves {usual:.2g} unsolved step after step, limit {limit:.2g}"
             )
         return None
 

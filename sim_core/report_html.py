@@ -299,9 +299,13 @@ def _numerics(report: Report) -> str:
     found = report.get("numerics")
     if found is None:
         return ""
-    within = {True: "kept", False: "not kept", None: "not to be told without an error estimate"}[
-        found["within_tolerance"]
-    ]
+    tolerance_mm = found["tolerance_mm"]
+    within = {True: "kept", False: "not kept", None: "not to be told without an error estimate"}
+    tolerance = (
+        "none" if tolerance_mm is None else f"{tolerance_mm:g} mm: {within[found['within_tolerance']]}"
+    )
+    if found["refinements"]:
+        tolerance += f", after {', '.join(found['refinements'])}"
     estimate = found["error_estimate_mm"]
     error = f"{figure_text(estimate, 2)} mm, " if estimate is not None else ""
     factor = found["real_time_factor"]
@@ -310,7 +314,8 @@ def _numerics(report: Report) -> str:
     rest = "rested" if found["at_rest"] else "did not rest yet"
     facts = [
         ("Error estimate", f"{error}{found['error_estimate_from']}"),
-        ("Tolerance asked for", f"{found['tolerance_mm']:g} mm: {within}"),
+        ("Tolerance asked for", tolerance),
+        ("Engine and step", found["setting_chosen"]),
         ("Engine", f"{found['engine']}, run as “{found['mode']}”"),
         ("Time step", f"{step}, {found['steps']} steps in all"),
         ("Deepest penetration", f"{figure_text(found['max_penetration_mm'], 3)} mm between two bodies"),

@@ -168,6 +168,7 @@ def run_test(
     """
     findings = require_integrity(scene)
     watching = list(observers)
+    is_followed = bool(watching) or on_progress is not None
     readings = Peekable(accelerometer_samples(scene, epoch_ns=epoch_ns))
     began = time.perf_counter()
     test, judge = LoadTest(scene), EumosJudge(scene)
@@ -186,7 +187,7 @@ def run_test(
             judge.add(frame)
             for observer in watching:
                 observer.on_frame(frame)
-            if status_due(frame, scene) or test.finished:
+            if is_followed and (status_due(frame, scene) or test.finished):
                 rules = judge.rules()
                 for observer in watching:
                     observer.on_rules(frame.stamp_ns, rules)

@@ -21,7 +21,7 @@ from sim_core.judge import EumosJudge
 
 RawScene = dict[str, Any]
 ReferenceKind = Literal["closed form", "own ODE", "zero", "self-refined"]
-SceneKind = Literal["sliding", "impact", "resting", "threshold"]
+SceneKind = Literal["sliding", "impact", "resting", "threshold", "pressed"]
 
 POSES_HZ = 240
 """Pose frames a second of every case, where the step allows it."""
@@ -388,6 +388,11 @@ def cartons_scene(layers: int = 5, *, level_g: float = 0.2, columns: tuple[int, 
         },
         "sled": {"profile": "eumos", "level_g": level_g},
     }
+
+
+def pressed_scene() -> RawScene:
+    """The cartons at 0.5 g, held by force fields that press them on each other."""
+    return {**cartons_scene(level_g=0.5), "name": "pressed cartons", "force_fields": {}}
 
 
 def _cartons() -> Case:

@@ -2,13 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from config.errors import PalletTwinError
 from sim_core.accuracy.cases import RawScene, SceneKind, cartons_scene
 from sim_core.accuracy.sweep import Cost, Row, Setting, run_track
+from sim_core.work_precision import SceneKind as WantedKind
+from sim_core.work_precision import TableRow
 
 ERROR_FLOOR_MM = 1.0e-3
 """Errors below this are the contacts' softness and the reference's own last digits: no order is fitted to them."""
@@ -138,6 +140,41 @@ def cheapest(rows: Sequence[Row], kind: SceneKind, tolerance_mm: float | None) -
             _, (error, worst), _ = min(ranked, key=lambda entry: entry[1][0])
             choices.append(Choice(kind, tolerance_mm, engine, None, None, worst, error))
     return choices
+
+
+def work_precision(rows: Sequence[Row]) -> tuple[TableRow, ...]:
+    """The table that engines and steps are chosen from: settings that ended no case of a kind, with its worst error.
+
+    A load that slides may also bump, so sliding loads count the impact's error too.
+    """
+    kinds: dict[WantedKind, set[str]] = {
+        "resting": {"resting"},
+        "sliding": {"sliding", "impact"},
+        "pressed": {"pressed"},
+    }
+    table = []
+    for kind, sources in kinds.items():
+        groups: dict[Setting, list[Row]] = {}
+        for row in rows:
+            if row.kind in sources:
+                groups.setdefault(row.setting, []).append(row)
+        for setting, group in groups.items():
+            scored = [(row.error, row.case, row.real_time_factor) for row in group]
+            if any(error is None or factor is None for error, _, factor in scored):
+                continue
+            error, case = max((error or 0.0, case) for error, case, _ in scored)
+            cost = max(1.0 / (factor or np.inf) for _, _, factor in scored)
+            engine: Literal["bullet", "mujoco"] = "mujoco" if setting.engine == "mujoco" else "bullet"
+            table.append(
+                TableRow(
+                    kind, engine, setting.rate_hz, setting.iterations, _figures(error), _figures(cost), case
+                )
+            )
+    return tuple(table)
+
+
+def _figures(value: float) -> float:
+    return float(f"{value:.3g}")
 
 
 def _score(row: Row, tolerance_mm: float | None) -> float:

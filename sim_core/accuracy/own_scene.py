@@ -1,6 +1,6 @@
 """A user's own scene as a case: its quantities of interest against a finer run of the same engine."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -8,27 +8,33 @@ from config.scene import Scene
 from sim_core.accuracy.cases import Case, Quantity, RunScene, Track
 from sim_core.accuracy.sweep import Cost, Setting, run_track
 from sim_core.integrity import supports
+from sim_core.work_precision import AUTO_TOLERANCE_MM, scene_kind
 
 SLIPS_FROM_MM = 0.5
 
 
-def scene_case(scene: Scene, finest: Setting) -> Case:
+def scene_case(scene: Scene, finest: Setting, *, only: Collection[str] | None = None) -> Case:
     """The scene as a case, its reference from one run at the finest setting.
 
     Quantities: largest elastic and permanent displacement, slip at each interface, the time of the first slip
     of more than 0.5 mm (where one slips), and the smallest margin to a limit. The allowed error in mm is
-    the scene's own tolerance, for the time a pose interval.
+    the scene's own tolerance (1 mm where it has none), for the time a pose interval.
 
     Args:
         scene: a resolved scene.
         finest: the setting that the reference is taken from.
+        only: the quantities to measure, or None for all.
 
     Raises:
         PalletTwinError: the finest run was refused, or a monitor ended it.
     """
     raw = scene.model_dump(mode="json")
-    reference = measured_on(run_track(finest.applied(raw), None, Cost()))
-    tolerance_mm = scene.solver.tolerance_mm
+    reference = {
+        name: value
+        for name, value in measured_on(run_track(finest.applied(raw), None, Cost())).items()
+        if only is None or name in only
+    }
+    tolerance_mm = scene.solver.tolerance_mm or AUTO_TOLERANCE_MM
 
     def measure(run: RunScene) -> Mapping[str, float]:
         values = measured_on(run(raw, None))
@@ -37,7 +43,7 @@ def scene_case(scene: Scene, finest: Setting) -> Case:
 
     return Case(
         scene.name, f"{scene.name}, against 1/{finest.rate_hz} × {finest.iterations} of the same engine",
-        "sliding" if reference["elastic"] > 5.0 else "resting", raw,
+        scene_kind(scene), raw,
         tuple(
             Quantity(name, value, "self-refined", "s", 1.0 / scene.sampling.poses_hz)
             if name == "first slip" else Quantity(name, value, "self-refined", "mm", tolerance_mm)

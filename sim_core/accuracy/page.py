@@ -5,7 +5,9 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+from sim_core.accuracy.bare_loops import LoopCost
 from sim_core.accuracy.cases import Case
+from sim_core.accuracy.coverage import Coverage
 from sim_core.accuracy.figures import growth_figure, order_figure, standalone_svg, work_precision_figure
 from sim_core.accuracy.fronts import Choice, GrowthPoint, Order, as_table
 from sim_core.accuracy.sweep import Row
@@ -19,6 +21,8 @@ def write_page(
     orders: Sequence[Order],
     choices: Sequence[Choice],
     points: Sequence[GrowthPoint],
+    covered: Sequence[Coverage],
+    loops: Sequence[LoopCost],
 ) -> None:
     """Writes ``accuracy.html`` and each figure as an SVG file of its own.
 
@@ -29,6 +33,8 @@ def write_page(
         orders: fitted orders.
         choices: cheapest settings.
         points: growth with the size of the load; may be empty.
+        covered: how often the error estimate holds; may be empty.
+        loops: raw engine loops beside our tests; may be empty.
     """
     names = list(dict.fromkeys(case.name for case in cases))
     smooth = [name for name in names if any(order.case == name for order in orders)]
@@ -54,6 +60,8 @@ def write_page(
     failed = [row for row in rows if row.failed]
     sections += [
         _section("Cheapest setting inside a tolerance", table(as_table(choices))),
+        *([_section("Does the error estimate hold?", table(coverage_rows(covered)))] if covered else []),
+        *([_section("What our layers cost", table(loop_rows(loops)))] if loops else []),
         _section("Cases", table([{"case": case.name, "what happens": case.title} for case in cases])),
         _section(
             "Omissions", table(omission_rows(failed)) if failed else "<p>Every setting ran to its end.</p>"
@@ -89,6 +97,33 @@ def row_entry(row: Row) -> dict[str, Any]:
         "overlap [mm]": f"{row.penetration_mm:.3f}",
         "residual": f"{row.residual:.1e}",
     }
+
+
+def coverage_rows(covered: Sequence[Coverage]) -> list[dict[str, Any]]:
+    """Coverage as the page shows it."""
+    return [
+        {
+            "engine": entry.engine,
+            "quantities": entry.quantities,
+            "true error inside the estimate": f"{100.0 * entry.inside:.1f} %",
+            "median estimate / error (errors over 0.01 mm)": f"{entry.median_ratio:.1f} ({entry.seen})",
+            "outside": "; ".join(entry.misses[:5]) or "none",
+        }
+        for entry in covered
+    ]
+
+
+def loop_rows(loops: Sequence[LoopCost]) -> list[dict[str, Any]]:
+    """Raw loops and our tests as the page shows them."""
+    return [
+        {
+            "loop": loop.name,
+            "peak, all error [mm]": "" if loop.peak_mm != loop.peak_mm else f"{loop.peak_mm:.2f}",
+            "wall min / median [s]": f"{loop.wall_min_s:.3f} / {loop.wall_median_s:.3f}",
+            "wall s per simulated s": f"{loop.wall_min_s / loop.simulated_s:.4f}",
+        }
+        for loop in loops
+    ]
 
 
 def omission_rows(failed: Sequence[Row]) -> list[dict[str, Any]]:

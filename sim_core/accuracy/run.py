@@ -4,13 +4,15 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import partial
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from config.errors import PalletTwinError
 from config.scene import Scene
-from sim_core.accuracy.cases import Case, reference_suite
+from config.scene_file import validate_scene
+from sim_core.accuracy.bare_loops import LoopCost, bare_loops
+from sim_core.accuracy.cases import Case, pressed_scene, reference_suite
+from sim_core.accuracy.coverage import Coverage, coverage
 from sim_core.accuracy.fronts import (
     GROWTH_COLUMNS,
     Choice,
@@ -21,17 +23,21 @@ from sim_core.accuracy.fronts import (
     fitted_orders,
     growth,
     growth_exponents,
+    work_precision,
 )
 from sim_core.accuracy.own_scene import scene_case
 from sim_core.accuracy.sweep import FORMAT, Progress, Row, Setting, row_from_json, run_sweep, write_rows
 from sim_core.report import versions
+from sim_core.work_precision import installed_engines, write_table
 
 RATES_HZ = {"bullet": (120, 240, 480, 960, 1920), "mujoco": (60, 120, 240, 480, 960, 1920)}
-ITERATIONS = {"bullet": (10, 40, 100), "mujoco": (10, 40)}
+ITERATIONS = {"bullet": (10, 20, 40, 80), "mujoco": (20, 40)}
 QUICK_RATES_HZ = {"bullet": (240, 480, 960), "mujoco": (120, 240, 480)}
-QUICK_ITERATIONS = {"bullet": (40,), "mujoco": (40,)}
+QUICK_ITERATIONS = {"bullet": (20, 40), "mujoco": (20, 40)}
 QUICK_LEAVES_OUT = {"tipping", "inertial block", "square block at 45°"}
 FINEST = {"bullet": (3840, 40), "mujoco": (1920, 40)}
+PRESSED_FINEST = {"bullet": (1920, 80), "mujoco": (960, 40)}
+PRESSED_ITERATIONS = {"bullet": (20, 40, 80), "mujoco": (40,)}
 GROWTH_SETTINGS = {"bullet": (480, 40), "mujoco": (240, 40)}
 TOLERANCES_MM = (None, 0.1, 0.5, 1.0)
 
@@ -45,6 +51,8 @@ def run_accuracy(
     repeats: int = 3,
 ) -> None:
     """Writes ``accuracy.json``, ``accuracy.csv``, the figures and ``accuracy.html`` into a folder.
+
+    Without a scene also ``work_precision.json``, the table that engines and steps are chosen from.
 
     Rows that the folder's ``accuracy.json`` already holds are not run again unless what they depend on changed.
 
@@ -88,14 +96,14 @@ def run_accuracy(
             columns=GROWTH_COLUMNS[:4] if quick else GROWTH_COLUMNS,
             on_progress=(lambda words: on_progress(len(rows), len(rows), words)) if on_progress else None,
         )
-    _write_json(out, rows, orders, choices, points)
+    covered = coverage(rows) if scene is None else []
+    table = work_precision(rows) if scene is None else ()
+    loops = bare_loops(table, on_progress=on_progress) if scene is None and not quick else []
+    _write_json(out, rows, orders, choices, points, covered, loops)
     write_rows(rows, out / "accuracy.csv")
-    write_page(out, rows, cases, orders, choices, points)
-
-
-def installed_engines() -> list[str]:
-    """The rigid engines that are installed, the default first."""
-    return ["bullet"] + (["mujoco"] if find_spec("mujoco") is not None else [])
+    if scene is None:
+        write_table(table, out / "work_precision.json")
+    write_page(out, rows, cases, orders, choices, points, covered, loops)
 
 
 def sweep_settings(engine: str, *, quick: bool = False) -> list[Setting]:
@@ -109,9 +117,11 @@ def _parts(
 ) -> list[tuple[Sequence[Case], Sequence[Setting]]]:
     """What to sweep: the suite over all engines, or for each engine the scene with its own reference."""
     if scene is None:
-        cases = [case for case in reference_suite() if not (quick and case.name in QUICK_LEAVES_OUT)]
+        cases: Sequence[Case] = [
+            case for case in reference_suite() if not (quick and case.name in QUICK_LEAVES_OUT)
+        ]
         settings = [s for engine in installed_engines() for s in sweep_settings(engine, quick=quick)]
-        return [(cases, settings)]
+        return [(cases, settings), *([] if quick else _pressed_parts(on_progress))]
     parts: list[tuple[Sequence[Case], Sequence[Setting]]] = []
     problem: PalletTwinError | None = None
     for engine in installed_engines():
@@ -131,6 +141,26 @@ def _parts(
     return parts
 
 
+def _pressed_parts(on_progress: Progress | None) -> list[tuple[Sequence[Case], Sequence[Setting]]]:
+    """Packages that press on each other have no closed form: each engine's peak against its own finest run."""
+    parts: list[tuple[Sequence[Case], Sequence[Setting]]] = []
+    for engine, (rate, iterations) in PRESSED_FINEST.items():
+        if engine not in installed_engines():
+            continue
+        finest = Setting(engine, rate, iterations)
+        if on_progress is not None:
+            on_progress(0, 1, f"reference of the pressed load: {finest.words}")
+        case = scene_case(validate_scene(pressed_scene()), finest, only={"elastic"})
+        settings = [
+            Setting(engine, r, i)
+            for i in PRESSED_ITERATIONS[engine]
+            for r in RATES_HZ[engine]
+            if 60 < r < rate
+        ]
+        parts.append(([case], settings))
+    return parts
+
+
 def _known_rows(path: Path) -> list[Row]:
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
@@ -143,7 +173,7 @@ def _known_rows(path: Path) -> list[Row]:
 def _write_unfinished(out: Path, done: Sequence[Row], known: Sequence[Row], now: Sequence[Row]) -> None:
     """Keeps the rows of an earlier run that this one has not come to yet."""
     rows = {row.key: row for row in (*done, *now, *known)}
-    _write_json(out, list(rows.values()), [], [], [])
+    _write_json(out, list(rows.values()), [], [], [], [], [])
 
 
 def _write_json(
@@ -152,6 +182,8 @@ def _write_json(
     orders: Sequence[Order],
     choices: Sequence[Choice],
     points: Sequence[GrowthPoint],
+    covered: Sequence[Coverage],
+    loops: Sequence[LoopCost],
 ) -> None:
     derived = ("error", "bars", "real_time_factor", "steps_per_s")
     content: dict[str, Any] = {
@@ -162,6 +194,8 @@ def _write_json(
         "choices": as_table(choices),
         "growth": [asdict(point) for point in points],
         "growth_exponents": growth_exponents(points),
+        "coverage": [asdict(entry) for entry in covered],
+        "loops": [asdict(loop) for loop in loops],
     }
     scratch = out / "accuracy.json.part"
     scratch.write_text(json.dumps(content, ensure_ascii=False, indent=1) + "\n", encoding="utf-8")

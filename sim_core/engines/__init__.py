@@ -19,14 +19,12 @@ class ContactState:
         penetration_m: depth of the deepest contact [m], 0 when none is closed.
         relative_penetration: depth over the smaller body's smallest edge, the largest of all contacts.
         deepest: ids of the two bodies of that contact.
-        support_n: sum of the normal forces on the ground along z [N].
     """
 
     count: int
     penetration_m: float
     relative_penetration: float
     deepest: tuple[str, str]
-    support_n: float
 
 
 class RigidEngine(Protocol):
@@ -35,10 +33,12 @@ class RigidEngine(Protocol):
     Attributes:
         name: the engine's name.
         impact_share: largest misplacement that a blow leaves, as a share of closing speed times step.
+        residual_limit: largest residual that may stay step after step, in the engine's measure, or None.
     """
 
     name: str
     impact_share: float
+    residual_limit: float | None
 
     @property
     def settings(self) -> Mapping[str, object]:
@@ -64,6 +64,9 @@ class RigidEngine(Protocol):
 
     def contacts(self) -> ContactState:
         """The contacts of the last step."""
+
+    def support_n(self) -> float:
+        """Sum of the normal forces on sled and blocked pallet in the last step, along z [N]."""
 
     def residual(self) -> float:
         """What the constraint solver left unsolved in the last step, in the engine's own measure."""
@@ -92,7 +95,7 @@ def make_engine(scene: Scene) -> RigidEngine:
     """Builds the engine that the scene names, with the scene's bodies in place.
 
     Args:
-        scene: a resolved scene.
+        scene: a resolved scene; an engine that is still ``auto`` is Bullet.
 
     Raises:
         RefusedInput: the engine is not installed.

@@ -98,6 +98,8 @@ class BulletEngine:
 
     name = "bullet"
     impact_share = 0.25
+    # (14 mm/s)²: sound stacks of five layers stay below 5e-5, a column of ten has 1.4e-4, 1:100 heavy on light 7e-3.
+    residual_limit: float | None = 2.0e-4
 
     def __init__(self, scene: Scene) -> None:
         self._step_s = scene.time_step_s
@@ -244,16 +246,21 @@ class BulletEngine:
     def contacts(self) -> ContactState:
         """See ``RigidEngine.contacts``."""
         points = p.getContactPoints(physicsClientId=self._client)
-        depth, relative, deepest, support = 0.0, 0.0, ("", ""), 0.0
+        depth, relative, deepest = 0.0, 0.0, ("", "")
         for point in points:
             first, second, distance = point[1], point[2], point[8]
             depth = max(depth, -distance)
             share = -distance / min(self._edges[first], self._edges[second])
             if share > relative:
                 relative, deepest = share, (self._names[first], self._names[second])
-            if first in self._ground or second in self._ground:
-                support += point[9] * abs(point[7][2])
-        return ContactState(len(points), depth, relative, deepest, support)
+        return ContactState(len(points), depth, relative, deepest)
+
+    def support_n(self) -> float:
+        """See ``RigidEngine.support_n``."""
+        points = p.getContactPoints(physicsClientId=self._client)
+        return float(
+            sum(point[9] * abs(point[7][2]) for point in points if self._ground & {point[1], point[2]})
+        )
 
     def residual(self) -> float:
         """Largest remaining residual over the islands of the last step, in Bullet's velocity measure."""

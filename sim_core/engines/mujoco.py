@@ -50,6 +50,8 @@ class MujocoEngine:
 
     name = "mujoco"
     impact_share = 0.75
+    # Newton's method converges or says so; its gradient has no fixed measure.
+    residual_limit: float | None = None
 
     def __init__(self, scene: Scene) -> None:
         self._step_s = scene.time_step_s
@@ -66,6 +68,8 @@ class MujocoEngine:
         self._bodies = np.array([self._mj.body(f"row_{row}").id for row in self._rows], dtype=int)
         self._snapshots: dict[int, Array] = {}
         self._handles = 0
+        self._state: tuple[Array, Array] | None = None
+        self._motion: tuple[Array, Array] | None = None
         mujoco.mj_forward(self._mj, self._data)
         option = self._mj.opt
         self.settings: Mapping[str, object] = {
@@ -96,6 +100,7 @@ class MujocoEngine:
         if forces is not None:
             self._data.xfrc_applied[self._bodies, :3] = forces[self._rows]
         model, data = self._mj, self._data
+        self._state = self._motion = None
         self._set_margin()
         mujoco.mj_step1(model, data)
         mujoco.mj_fwdActuation(model, data)
@@ -112,18 +117,21 @@ class MujocoEngine:
         """Solves for the accelerations, until the friction shift that went in is the one that comes out."""
         model, data, h = self._mj, self._data, self._step_s
         normal = data.contact.efc_address
+        rubs = data.contact.dim > 1
+        rubbing = normal[rubs]
         if not len(normal):
             mujoco.mj_fwdConstraint(model, data)
             return
-        friction, distance, wanted = data.contact.friction[:, 0], data.contact.dist, data.efc_aref
+        friction, distance, wanted = data.contact.friction[rubs, 0], data.contact.dist, data.efc_aref
         # Velocity after the step: what is left of an open distance, or a share of an overlap, over the step.
         goal = -(data.efc_vel[normal] + np.where(distance > 0.0, distance, PUSH_OUT * distance) / h) / h
         reached = np.empty(data.nefc)
 
         def shift() -> Array:
             mujoco.mj_mulJacVec(model, data, reached, data.qacc_warmstart)
-            first, second = (reached[normal + k] - wanted[normal + k] for k in (1, 2))
-            pushed: Array = friction * np.hypot(first, second)
+            first, second = (reached[rubbing + k] - wanted[rubbing + k] for k in (1, 2))
+            pushed = np.zeros(len(normal))
+            pushed[rubs] = friction * np.hypot(first, second)
             return pushed
 
         expected = shift()
@@ -138,27 +146,31 @@ class MujocoEngine:
 
     def poses(self) -> tuple[Array, Array]:
         """See ``RigidEngine.poses``."""
-        positions, orientations = self._start_positions.copy(), self._start_orientations.copy()
-        state = self._data.qpos.reshape(-1, 7)
-        positions[self._rows] = state[:, :3]
-        orientations[self._rows] = state[:, [4, 5, 6, 3]]
-        return with_sheets(self._model, positions, at_rest=self._start_positions), orientations
+        if self._state is None:
+            positions, orientations = self._start_positions.copy(), self._start_orientations.copy()
+            state = self._data.qpos.reshape(-1, 7)
+            positions[self._rows] = state[:, :3]
+            orientations[self._rows] = state[:, [4, 5, 6, 3]]
+            self._state = with_sheets(self._model, positions, at_rest=self._start_positions), orientations
+        return self._state
 
     def velocities(self) -> tuple[Array, Array]:
         """See ``RigidEngine.velocities``."""
-        linear, angular = np.zeros_like(self._start_positions), np.zeros_like(self._start_positions)
-        state = self._data.qvel.reshape(-1, 6)
-        linear[self._rows] = state[:, :3]
-        # A free joint's angular velocity stands in the body's own frame.
-        turns = rotation_matrices(self._data.qpos.reshape(-1, 7)[:, [4, 5, 6, 3]])
-        angular[self._rows] = np.einsum("nij,nj->ni", turns, state[:, 3:])
-        return with_sheets(self._model, linear), angular
+        if self._motion is None:
+            linear, angular = np.zeros_like(self._start_positions), np.zeros_like(self._start_positions)
+            state = self._data.qvel.reshape(-1, 6)
+            linear[self._rows] = state[:, :3]
+            # A free joint's angular velocity stands in the body's own frame.
+            turns = rotation_matrices(self._data.qpos.reshape(-1, 7)[:, [4, 5, 6, 3]])
+            angular[self._rows] = np.einsum("nij,nj->ni", turns, state[:, 3:])
+            self._motion = with_sheets(self._model, linear), angular
+        return self._motion
 
     def contacts(self) -> ContactState:
         """See ``RigidEngine.contacts``."""
         contact = self._data.contact
         if not len(contact.dist):
-            return ContactState(0, 0.0, 0.0, ("", ""), 0.0)
+            return ContactState(0, 0.0, 0.0, ("", ""))
         depths = np.maximum(-contact.dist, 0.0)
         edges = 2.0 * self._mj.geom_size.min(axis=1)
         shares = depths / edges[contact.geom].min(axis=1)
@@ -169,10 +181,10 @@ class MujocoEngine:
             penetration_m=float(depths.max()),
             relative_penetration=float(shares[worst]),
             deepest=(names[0], names[1]),
-            support_n=self._support_n(),
         )
 
-    def _support_n(self) -> float:
+    def support_n(self) -> float:
+        """See ``RigidEngine.support_n``."""
         grounds = {geom for geom in range(self._mj.ngeom) if self._mj.geom_bodyid[geom] == 0}
         total, force = 0.0, np.zeros(6)
         for index in range(self._data.ncon):
@@ -203,6 +215,7 @@ class MujocoEngine:
 
     def restore(self, handle: int) -> None:
         """See ``RigidEngine.restore``."""
+        self._state = self._motion = None
         mujoco.mj_setState(self._mj, self._data, self._snapshots[handle], mujoco.mjtState.mjSTATE_INTEGRATION)
         mujoco.mj_forward(self._mj, self._data)
 
@@ -217,6 +230,7 @@ class MujocoEngine:
         back_s = self._step_s - step_s
         self._mj.opt.timestep = self._step_s = step_s
         # Integrates every position, quaternions included, along its velocity.
+        self._state = self._motion = None
         mujoco.mj_integratePos(self._mj, self._data.qpos, self._data.qvel, -0.5 * back_s)
 
     def close(self) -> None:
@@ -278,16 +292,16 @@ def _add_geom(parent: Element, box: RigidBox, *, at: tuple[float, float, float])
 def _add_frictions(root: Element, model: RigidModel) -> None:
     """One friction for all geoms where the table has one value; else an explicit contact pair each."""
     faces = {"sled": "sled"} | {box.name: box.face for box in model.boxes if box is not None}
-    values = {
-        model.friction.get(frozenset((a, b)), None)
+    known = {
+        friction
         for a, b in combinations_with_replacement(set(faces.values()), 2)
+        if (friction := model.friction.get(frozenset((a, b)))) is not None
     }
-    known = values - {None}
     if len(known) <= 1:
         friction = next(iter(known), UNKNOWN_FRICTION)
         for geom in root.iter("geom"):
             if "name" in geom.attrib:
-                geom.set("friction", f"{friction!r} 0 0")
+                geom.attrib |= _friction_of(friction, "0 0")
         return
     for geom in root.iter("geom"):
         if "name" in geom.attrib:
@@ -300,7 +314,13 @@ def _add_frictions(root: Element, model: RigidModel) -> None:
             if first in fixed and second in fixed:
                 continue
             friction = model.friction.get(frozenset((faces[first], faces[second])), UNKNOWN_FRICTION)
-            SubElement(pairs, "pair", geom1=first, geom2=second, friction=f"{friction!r} {friction!r} 0 0 0")
+            names_and_friction = {"geom1": first, "geom2": second}
+            SubElement(pairs, "pair", names_and_friction | _friction_of(friction, f"{friction!r} 0 0 0"))
+
+
+def _friction_of(friction: float, rest: str) -> dict[str, str]:
+    # MuJoCo's least friction is 1e-5; without any, a contact has no friction rows at all.
+    return {"condim": "1"} if friction == 0.0 else {"friction": f"{friction!r} {rest}"}
 
 
 def _numbers(values: Sequence[float]) -> str:

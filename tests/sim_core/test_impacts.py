@@ -110,7 +110,7 @@ def test_changing_the_step_back_and_forth_keeps_turning_bodies(engine: str) -> N
 def watch(positions: Rows, velocities: Rows, *, split: int = 1) -> int:
     half = np.full((len(positions), 3), 0.1)
     still = np.tile([0.0, 0.0, 0.0, 1.0], (len(positions), 1))
-    return ImpactWatch(half, 0.25).substeps(
+    return ImpactWatch(half, np.zeros(len(positions)), 0.25).substeps(
         1 / 480, split, 1 / 240, np.array(positions), still, np.array(velocities)
     )
 
@@ -123,6 +123,7 @@ def test_only_a_blow_ahead_asks_for_smaller_steps() -> None:
     assert watch([[0.0, 0.0, 0.0], [0.201, 0.25, 0.0]], closing) == 1, "passes by"
     assert watch([[0.0, 0.0, 0.0], [0.201, 0.0, 0.0]], [[-0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]) == 1, "parting"
     assert watch([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], closing) == 1, "has met"
+    assert watch([[0.0, 0.0, -0.15], [0.201, 0.0, -0.15]], closing) == 1, "has fallen"
     assert watch(np.zeros((0, 3)), np.zeros((0, 3))) == 1
 
 

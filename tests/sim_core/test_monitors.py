@@ -39,7 +39,7 @@ def test_motion_names_the_body() -> None:
 
 def test_an_impact_passes_and_a_sinking_load_does_not() -> None:
     watch = monitors()
-    deep, fine = (ContactState(4, share * 0.2, share, ("pallet", "a"), 100.0) for share in (0.021, 0.019))
+    deep, fine = (ContactState(4, share * 0.2, share, ("pallet", "a")) for share in (0.021, 0.019))
     assert [watch.contacts(state, 0.0) for state in (deep, deep, fine, deep, deep)] == [None] * 5
     breach = watch.contacts(deep, 0.0)
     assert breach is not None and breach.monitor == "penetration"
