@@ -392,7 +392,7 @@ def cartons_scene(layers: int = 5, *, level_g: float = 0.2, columns: tuple[int, 
 
 def pressed_scene() -> RawScene:
     """The cartons at 0.5 g, held by force fields that press them on each other."""
-    return {**cartons_scene(level_g=0.5), "name": "pressed cartons", "force_fields": {}}
+    return {**cartons_scene(level_g=0.5), "name": "pressed_cartons", "force_fields": {}}
 
 
 def _cartons() -> Case:
