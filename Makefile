@@ -9,7 +9,7 @@ help:
 	@echo "make demo   run one EUMOS test of a palletised load: verdict, report, recording"
 	@echo "make test   set up the tools and run every test"
 	@echo "make lint   ruff, mypy and the import contract"
-	@echo "make bench  error against run time and the stability table, into runs/ (half an hour)"
+	@echo "make bench  error against run time, stability, engine agreement, cost of the parts, into runs/ (45 minutes)"
 	@echo "make clean  remove .venv and caches; runs/ stays"
 
 setup: $(VENV)/.main
@@ -42,6 +42,8 @@ lint: setup-dev
 bench: setup-dev
 	$(BIN)/pallet-twin accuracy --out runs/accuracy
 	$(BIN)/pallet-twin stress --engine both --out runs/stress
+	$(BIN)/pallet-twin agreement --out runs/agreement
+	$(BIN)/pallet-twin parts eur_columns --set sled.level_g=0.2 --out runs/parts
 
 clean:
 	rm -rf $(VENV) .mypy_cache .pytest_cache .ruff_cache .hypothesis .import_linter_cache *.egg-info

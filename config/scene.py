@@ -4,23 +4,18 @@ import hashlib
 import math
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from config.materials import material_library
 from config.package import EdgeLength, Finite, Package, Point3
+from config.part import Part
+from config.wrap import FilmProperties, Wrap, film_properties
 
 MAXIMUM_PACKAGES = 2000
 DEFAULT_TIME_STEP_S = 1.0 / 480.0
 DEFAULT_ITERATIONS = 40
 
 Fraction = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
-
-
-class Part(BaseModel):
-    """Base of every scene part: unknown keys are refused, values don't change."""
-
-    # A bounded text is also checked to be Unicode: half of a surrogate pair could not be written again.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, str_max_length=10_000)
 
 
 class PatternSource(Part):
@@ -293,6 +288,7 @@ class Scene(Part):
     surfaces: Surfaces = Surfaces()
     sled: Sled
     force_fields: ForceFields | None = None
+    wrap: Wrap | None = Field(default=None, description="film around load and pallet; absent: none")
     accelerometer: Accelerometer | None = None
     limits: Limits = Limits()
     sampling: Sampling = Sampling()
@@ -365,6 +361,18 @@ class Scene(Part):
         if isinstance(self.pallet, FilePallet):
             raise TypeError("the scene's pallet is not resolved yet")
         return self.pallet
+
+    @property
+    def film(self) -> FilmProperties | None:
+        """One layer of the wrap's film, or None where there is no wrap, no turn of it, or nothing to wrap.
+
+        Raises:
+            TypeError: the load still stands in a palletising file.
+        """
+        if self.wrap is None or not self.wrap.is_wound or not self.packages:
+            return None
+        named = {frozenset(pair.between): pair.friction for pair in self.surfaces.pairs}
+        return film_properties(self.wrap, named=named)
 
     def to_json(self) -> str:
         """The scene as compact JSON, the same bytes for the same scene."""

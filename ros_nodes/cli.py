@@ -84,9 +84,11 @@ def run(
     from recordings.recorded_sled import load_scene
     from ros_nodes.one_test import make_folder, run_headless
     from sim_core.integrity import require_integrity
+    from sim_core.tolerance import require_estimate
 
     loaded = load_scene(scene, set_ or ())
     require_integrity(loaded)
+    require_estimate(loaded, estimate)
     if cross_check and find_spec("mujoco") is None:
         raise RefusedInput("--cross-check", "mujoco", "is not installed: pip install 'pallet-twin[mujoco]'")
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag, with_page=page)
@@ -111,6 +113,7 @@ def up(
     no_record: Annotated[bool, typer.Option("--no-record", help="Start no recorder.")] = False,
     set_: SetOption = None,
     estimate: EstimateOption = True,
+    page: PageOption = True,
     overwrite: OverwriteOption = False,
     discovery: Annotated[
         Literal["localhost", "subnet"],
@@ -132,12 +135,14 @@ def up(
     from recordings.recorded_sled import load_scene
     from ros_nodes.one_test import make_folder, run_graph
     from sim_core.integrity import require_integrity
+    from sim_core.tolerance import require_estimate
 
     loaded = load_scene(scene, set_ or ())
     require_integrity(loaded)
+    require_estimate(loaded, estimate)
     if record is not None and no_record:
         raise RefusedInput("--record", str(record), "contradicts --no-record")
-    where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record)
+    where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record, with_page=page)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_graph(
             loaded,

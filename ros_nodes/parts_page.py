@@ -11,13 +11,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from config.scene import Scene
-from ros_nodes.parts_cost import PARTS, Graph, OptionalPart, Run, Variant
+from ros_nodes.parts import PARTS, OptionalPart, Variant
+from ros_nodes.parts_run import Graph, Run
 
 METHOD = (
     "Every run is a fresh process; the rows take turns (a b c a b c ...), so that noise of the machine hits all"
     " alike. Times are medians with the smallest and the largest. Times relative to `bare` are the median of the"
     " rounds' own ratios. `loop` is the test itself, from building the load to its end; `process` adds the"
-    " interpreter, imports and the report with its page, which every test has, and waits for what runs beside."
+    " interpreter, imports and writing the report, and waits for what runs beside."
     " Force fields change the motion, and with it when the load rests and how many contacts there are, so loops are"
     " compared for each simulated second as well. What runs beside takes a core of its own where there is one."
     " Memory is the peak of resident pages. `bare_loop` is the loop written by hand, with no product around it."
@@ -365,7 +366,7 @@ def computed_graph(variant: Variant) -> Graph:
     from ros_nodes.supervisor import Supervisor
 
     bag = Path("bag") if "with_bag" in variant.options else None
-    started = list(Supervisor(variant.scene, "fast", bag)._graph(Path("scene.json")))
+    started = list(Supervisor(variant.scene, "fast", bag).nodes_needed(Path("scene.json")))
     topics = {topic.absolute_name() for topic in recorded_topics(variant.scene)}
     for _, parameters in started:
         for name in readers_wanted(str(parameters.get("readers", ""))):

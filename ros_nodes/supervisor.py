@@ -169,7 +169,7 @@ class Supervisor:
         scene_file = folder / "scene.json"
         scene_file.write_text(self.scene.to_json(), encoding="utf-8")
         defaults = str(files("config").joinpath("nodes.yaml"))
-        for name, parameters in self._graph(scene_file):
+        for name, parameters in self.nodes_needed(scene_file):
             log = folder / f"{name}.log"
             arguments = ["--ros-args", "-r", f"__ns:={NAMESPACE}", "--params-file", defaults]
             for key, value in parameters.items():
@@ -186,7 +186,7 @@ class Supervisor:
                 )
             self._nodes.append(NodeProcess(name, process, log))
 
-    def _graph(self, scene_file: Path) -> Iterator[tuple[str, dict[str, object]]]:
+    def nodes_needed(self, scene_file: Path) -> Iterator[tuple[str, dict[str, object]]]:
         """The nodes that the scene needs, in the order of their start, with their parameters.
 
         Each publisher waits for as many readers as the graph has for its topic.

@@ -81,7 +81,11 @@ def companion_scenes(scene: Scene) -> list[Scene]:
     for factor, share in ((2.0, 0.5), (2.0, 1.0), (0.5, 2.0)):
         step_s = factor * scene.time_step_s
         iterations = max(1, round(share * scene.iterations))
-        solver = scene.solver.model_copy(update={"time_step_s": step_s, "iterations": iterations})
+        try:
+            solver = Solver(engine=scene.solver.engine, time_step_s=step_s, iterations=iterations)
+        except ValueError:
+            # Out of the bounds of what a scene may ask for.
+            continue
         for poses_hz in (scene.sampling.poses_hz, scene.sampling.poses_hz // 2):
             sampling = scene.sampling.model_copy(update={"poses_hz": max(1, poses_hz)})
             candidate = scene.model_copy(update={"solver": solver, "sampling": sampling})
@@ -126,12 +130,13 @@ class BackgroundTest:
     """One test in a process of its own, without recording.
 
     Args:
-        scenes: resolved scenes to try in turn; the first whose load settles is the answer.
+        scenes: resolved scenes to try in turn; the first that needs no halved step is the answer.
+        is_coarse: they are meant to be coarse: what the solver leaves unsolved halves no step.
     """
 
-    def __init__(self, scenes: Sequence[Scene]) -> None:
+    def __init__(self, scenes: Sequence[Scene], *, is_coarse: bool = True) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "sim_core.companion"],
+            [sys.executable, "-P", "-m", "sim_core.companion", *(["--coarse"] if is_coarse else [])],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
@@ -192,8 +197,14 @@ class CrossCheck(BackgroundTest):
 
     def __init__(self, scene: Scene) -> None:
         self._engine: Literal["bullet", "mujoco"] = "mujoco" if scene.solver.engine == "bullet" else "bullet"
-        solver = Solver(engine=self._engine)
-        super().__init__([scene.model_copy(update={"solver": solver})])
+        other = scene.model_copy(update={"solver": Solver(engine=self._engine)})
+        try:
+            other.steps_and_samples()
+        except ValueError:
+            # The default step doesn't fit the samples: the scene's own does.
+            solver = Solver(engine=self._engine, time_step_s=scene.time_step_s)
+            other = scene.model_copy(update={"solver": solver})
+        super().__init__([other], is_coarse=False)
 
     def compare(self, rules: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         """Waits for the other engine and says rule by rule whether the two agree.
@@ -220,10 +231,10 @@ class CrossCheck(BackgroundTest):
         }
 
 
-def _answer(scene: Scene) -> tuple[Answer, bool]:
+def _answer(scene: Scene, is_coarse: bool) -> tuple[Answer, bool]:
     """What a test comes to, and whether it stayed at its own step from a settled load to its end."""
     # The residual's monitor would halve a coarse test to the step of the one that it is compared with.
-    test, judge = LoadTest(scene, with_residual_monitor=False), EumosJudge(scene)
+    test, judge = LoadTest(scene, with_residual_monitor=not is_coarse), EumosJudge(scene)
     problem = None
     try:
         for sample in sled_samples(scene):
@@ -243,26 +254,28 @@ def _answer(scene: Scene) -> tuple[Answer, bool]:
     return answer, problem is None and not test.halvings
 
 
-def main() -> None:
-    """Reads resolved scenes, a line each, and prints as JSON the answer of the first that needs no halved step.
-
-    Where all of them do, the first that ran to its end, or at least began.
-    """
+def _first_sound(lines: Sequence[str], is_coarse: bool) -> Answer:
+    """The answer of the first scene that needs no halved step; else of the first with the most to say."""
     answers = []
-    for line in sys.stdin.read().splitlines():
-        scene = scene_from_json(line)
+    for line in lines:
+        step_s = 0.0
         try:
-            answer, is_sound = _answer(scene)
+            scene = scene_from_json(line)
+            step_s = scene.time_step_s
+            answer, is_sound = _answer(scene, is_coarse)
         except PalletTwinError as error:
-            answer, is_sound = Answer({}, {}, scene.time_step_s, str(error)), True
-        answers.append(answer)
+            answer, is_sound = Answer({}, {}, step_s, str(error)), False
         if is_sound:
-            break
-    # Later is better only by being sound: of the others the earliest with the most to say.
-    if not (answers and is_sound):
-        answers.sort(key=lambda answer: (answer.problem is not None, not answer.worst_mm))
-        answers = answers[:1]
-    print(json.dumps(asdict(answers[-1] if answers else Answer({}, {}, 0.0, "no scene was given"))))
+            return answer
+        answers.append(answer)
+    answers.sort(key=lambda answer: (answer.problem is not None, not answer.worst_mm))
+    return answers[0] if answers else Answer({}, {}, 0.0, "no other step fits its samples")
+
+
+def main() -> None:
+    """Reads resolved scenes, a line each, and prints an answer as JSON."""
+    answer = _first_sound(sys.stdin.read().splitlines(), "--coarse" in sys.argv[1:])
+    print(json.dumps(asdict(answer)))
 
 
 if __name__ == "__main__":

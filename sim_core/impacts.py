@@ -29,15 +29,15 @@ class ImpactWatch:
     a collapse.
 
     Args:
-        half_sizes: half edge lengths of the bodies [m], shape [n, 3].
+        half_sizes: half edge lengths of the bodies [m], shape [n, 3]; zero for a row without a body.
         heights: centres' heights at the start [m], shape [n].
         share_of_step: the engine's largest misplacement after a blow, as a share of closing speed times step.
     """
 
     def __init__(self, half_sizes: Array, heights: Array, share_of_step: float) -> None:
         self._half_sizes, self._share = half_sizes, share_of_step
+        self._is_solid = (half_sizes > 0.0).all(axis=1)
         self._lowest = heights - half_sizes[:, 2]
-        self._pairs = np.triu_indices(len(half_sizes), k=1)
 
     def substeps(
         self,
@@ -63,7 +63,7 @@ class ImpactWatch:
             return 1
         # The whole step's positions are further ahead: going back to it must not pass over a blow.
         lead_s = 0.5 * step_s * (1.0 - 1.0 / split)
-        closing = self._closing_speed(1.25 * ahead_s + lead_s, positions, orientations, linear)
+        closing = self._closing_speed(slowest, 1.25 * ahead_s + lead_s, positions, orientations, linear)
         if closing < slowest:
             return 1
         return int(min(2 ** int(np.ceil(np.log2(closing / slowest))), MOST_SUBSTEPS))
@@ -76,20 +76,25 @@ class ImpactWatch:
             turns: rotation matrices, shape [n, 3, 3].
         """
         upright: NDArray[np.bool_] = turns[:, 2, 2] > TOPPLED_UPRIGHT
-        return upright & (positions[:, 2] >= self._lowest)
+        return (upright & (positions[:, 2] >= self._lowest)) | ~self._is_solid
 
-    def _closing_speed(self, ahead_s: float, positions: Array, orientations: Array, linear: Array) -> float:
+    def _closing_speed(
+        self, slowest: float, ahead_s: float, positions: Array, orientations: Array, linear: Array
+    ) -> float:
         """Largest speed at which two bodies will meet within the time ahead [m/s]."""
         turns = rotation_matrices(orientations)
-        stands = self.standing(positions, turns)
-        first, second = self._pairs
+        counts = self.standing(positions, turns) & self._is_solid
+        # Two bodies that close at a speed: at least one of them has half of it.
+        fast = np.flatnonzero(np.linalg.norm(linear, axis=1) >= 0.5 * slowest)
+        first, second = (index.ravel() for index in np.meshgrid(fast, np.arange(len(linear)), indexing="ij"))
         reach = np.einsum("nij,nj->ni", np.abs(turns), self._half_sizes)
         apart = positions[second] - positions[first]
         gaps = np.abs(apart) - reach[first] - reach[second]
         speeds = -np.sign(apart) * (linear[second] - linear[first])
         axis = gaps.argmax(axis=1)[:, None]
         gap, speed = (np.take_along_axis(values, axis, axis=1)[:, 0] for values in (gaps, speeds))
-        meets = (gap > TOUCHING_M) & (gap < ahead_s * speed) & stands[first] & stands[second]
+        # A body has a negative gap to itself.
+        meets = (gap > TOUCHING_M) & (gap < ahead_s * speed) & counts[first] & counts[second]
         if not meets.any():
             return 0.0
         after = gaps[meets] - speeds[meets] * ahead_s

@@ -1,5 +1,7 @@
 """The integrity check before a test: whether a load can stand on its pallet at all."""
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from typing import Literal
@@ -11,6 +13,7 @@ from config.materials import material_library
 from config.package import Package
 from config.scene import Scene, StandardPallet
 from config.scene_file import friction_table
+from config.wrap import Wrap, film_span, layers_at
 from sim_core.frames import Array
 from sim_core.geometry import clip_convex, footprint, height_span, overlap_depth, polygon_area
 from sim_core.sled import build_profile
@@ -94,6 +97,7 @@ def check_integrity(scene: Scene) -> list[Finding]:
         *_supports(scene),
         *_plausibility(scene),
         *_missing_friction(scene),
+        *_wrap(scene),
     ]
     order = {"error": 0, "warning": 1, "note": 2}
     return sorted(findings, key=lambda finding: order[finding.severity])
@@ -324,3 +328,63 @@ def _surface_pair(scene: Scene, support: Support) -> frozenset[str]:
     else:
         other = "sled" if support.below < 0 else scene.packages[support.below].surface
     return frozenset((scene.packages[support.package].surface, other))
+
+
+def _wrap(scene: Scene) -> Iterator[Finding]:
+    wrap, film, pallet = scene.wrap, scene.film, scene.pallet_box
+    if wrap is None or not wrap.is_wound:
+        return
+    if film is None:
+        yield Finding("warning", "wrap", "the empty pallet", wrap.material, "nothing to wrap: it is left out")
+        return
+    if wrap.coupling == "one_way" and scene.force_fields is None:
+        yield Finding(
+            "warning", "wrap", "wrap.coupling", "one_way", "without force_fields nothing holds the load"
+        )
+    if wrap.coupling == "two_way" and scene.force_fields is not None:
+        yield Finding(
+            "warning", "wrap", "wrap.coupling", "two_way", "force_fields hold the load as well: twice"
+        )
+    packages = [package for package in scene.packages if package.kind == "package"]
+    surfaces = {package.surface for package in packages}
+    if pallet is not None and wrap.pallet_overlap_m > 0.0:
+        surfaces.add(pallet.surface)
+    for surface in sorted(surfaces - set(film.friction)):
+        limit = "set wrap.friction, or add the pair to surfaces.pairs"
+        yield Finding("error", "friction", f"{wrap.material} on {surface}", "missing", limit)
+    smallest = min((package.size_m[2] for package in packages), default=math.inf)
+    if wrap.spacing_m is not None and wrap.spacing_m > smallest:
+        limit = f"the lowest package is {smallest:g} m high: the mesh may miss it"
+        yield Finding("warning", "wrap", "wrap.spacing_m", f"{wrap.spacing_m:g} m", limit)
+    yield from _wrap_edges(scene, wrap, packages)
+
+
+def _wrap_edges(scene: Scene, wrap: Wrap, packages: list[Package]) -> Iterator[Finding]:
+    """Where the film reaches, from the pallet to the top of the load."""
+    deck = 0.0 if scene.pallet_box is None else scene.pallet_box.size_m[2]
+    top = max(height_span(package)[1] for package in scene.packages)
+    lower, upper = film_span(wrap, deck_m=deck, top_m=top)
+    free = [package.id for package in packages if height_span(package)[0] >= upper - TOUCH_M]
+    if free:
+        who = free[0] + (f" and {len(free) - 1} more" if len(free) > 1 else "")
+        yield Finding("warning", "wrap", who, f"above the film's edge at {upper:g} m", "isn't wrapped")
+    elif upper < top - TOUCH_M:
+        yield Finding(
+            "note", "wrap", "wrap.height_m", f"{wrap.height_m:g} m", f"{top - upper:g} m of the load above it"
+        )
+    if scene.pallet_box is None:
+        yield Finding(
+            "note", "wrap", "the load", "has no pallet", "the film ends at the sled and holds nothing to it"
+        )
+    elif wrap.pallet_overlap_m == 0.0:
+        yield Finding(
+            "note", "wrap", "wrap.pallet_overlap_m", "0 m", "the film doesn't hold the load to the pallet"
+        )
+    elif wrap.pallet_overlap_m > deck:
+        limit = f"the pallet is {deck:g} m high: the film ends at the sled"
+        yield Finding("note", "wrap", "wrap.pallet_overlap_m", f"{wrap.pallet_overlap_m:g} m", limit)
+    heights = lower + (upper - lower) * (np.arange(200) + 0.5) / 200.0
+    bare = [z for z in heights.tolist() if layers_at(wrap, upper - lower, z - lower) == 0.0]
+    if bare:
+        value = f"no film between {bare[0]:.2f} m and {bare[-1]:.2f} m"
+        yield Finding("warning", "wrap", "wrap.turns", value, "turns.middle lays film between the ends")

@@ -4,7 +4,7 @@ from copy import copy
 
 import numpy as np
 
-from config.errors import EndedByMonitor
+from config.errors import EndedByMonitor, RefusedInput
 from config.scene import Scene
 from sim_core.energy import EnergyLedger
 from sim_core.engines import make_engine
@@ -64,10 +64,14 @@ class LoadTest:
         with_residual_monitor: False lets the solver leave what it leaves, for a run that is meant to be coarse.
 
     Raises:
-        RefusedInput: the profile cannot be built.
+        RefusedInput: the profile cannot be built, or the scene has a wrap.
     """
 
     def __init__(self, scene: Scene, *, with_residual_monitor: bool = True) -> None:
+        if scene.film is not None:
+            raise RefusedInput(
+                "wrap", scene.film.material, "cannot be simulated yet; force_fields stand for it"
+            )
         self.scene = scene
         self.engine = make_engine(scene)
         self._residual_limit = self.engine.residual_limit if with_residual_monitor else None
@@ -86,9 +90,10 @@ class LoadTest:
         self._rest = RestWatch(self._radii, within_m=REST_WITHIN_M, for_s=REST_FOR_S)
         self._monitors = Monitors(["pallet", *(package.id for package in scene.packages)], self._radii)
         self._ledger = self._ledger_then = EnergyLedger(scene)
-        self._impacts = ImpactWatch(
-            0.5 * np.array(edges), self.engine.poses()[0][:, 2].copy(), self.engine.impact_share
-        )
+        pallet = scene.pallet_box
+        sizes = np.array([pallet.size_m if pallet is not None else (0.0, 0.0, 0.0), *edges[1:]])
+        heights = self.engine.poses()[0][:, 2].copy()
+        self._impacts = ImpactWatch(0.5 * sizes, heights, self.engine.impact_share)
         self._groups_a_lookout = max(
             1, round(IMPACT_LOOKOUT_S * scene.sampling.samples_hz / self._samples_a_group)
         )

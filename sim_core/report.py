@@ -23,6 +23,8 @@ from sim_core.sled import build_profile
 
 Report = dict[str, Any]
 
+FAR_BEYOND = 2.0
+"""A rule broken by more than this many times its limit: how far beyond interests nobody."""
 PLAINLY_BEYOND = 1.5
 """A peak of this many limits in two runs settles a rule without an estimate."""
 
@@ -77,14 +79,40 @@ def full_report(
         refinements: the coarser attempts before it and their estimates, in words.
     """
     report = dict(judged)
-    if estimate is not None and physics.ended_by is None:
+    if physics.ended_by is not None:
+        # A part of a test compared with a whole one says nothing.
+        estimate = None
+    if estimate is not None:
         report["rules"] = [_with_error(rule, estimate) for rule in judged["rules"]]
         report["verdict"] = _verdict_with(report["rules"], estimate)
-    report["numerics"] = _numerics(scene, physics, estimate, wall_s, mode)
+    report["numerics"] = _numerics(
+        scene, physics, estimate, error_that_matters(judged["rules"], estimate), wall_s, mode
+    )
     report["numerics"] |= {"setting_chosen": why, "refinements": list(refinements)}
     report["integrity"] = [asdict(finding) for finding in findings]
     report["versions"] = versions()
     return report
+
+
+def error_that_matters(rules: Sequence[dict[str, Any]], estimate: ErrorEstimate | None) -> float | None:
+    """Largest estimate [mm] of the rules that are not broken beyond all doubt; None where there is no estimate.
+
+    A rule that is broken by more than twice its limit, estimate or not, has no use for a better one.
+    """
+    if estimate is None or estimate.largest_mm is None:
+        return None
+    errors = [0.0]
+    for rule in rules:
+        error_mm = estimate.by_rule_mm.get(rule["rule"])
+        if error_mm is None:
+            continue
+        is_hopeless = (
+            rule["limit_mm"] is not None
+            and rule["worst_mm"] > FAR_BEYOND * rule["limit_mm"]
+            and rule["worst_mm"] - error_mm > rule["limit_mm"]
+        )
+        errors.append(0.0 if is_hopeless else error_mm)
+    return max(errors)
 
 
 def worst_by_rule(judged: Report) -> dict[str, float]:
@@ -190,7 +218,12 @@ def _load_entry(scene: Scene) -> dict[str, Any]:
 
 
 def _numerics(
-    scene: Scene, physics: PhysicsSummary, estimate: ErrorEstimate | None, wall_s: float, mode: str
+    scene: Scene,
+    physics: PhysicsSummary,
+    estimate: ErrorEstimate | None,
+    matters_mm: float | None,
+    wall_s: float,
+    mode: str,
 ) -> dict[str, Any]:
     largest = estimate.largest_mm if estimate is not None else None
     tolerance_mm = scene.solver.tolerance_mm
@@ -203,9 +236,11 @@ def _numerics(
         "settings": physics.settings,
         "steps": physics.steps,
         "error_estimate_mm": largest,
-        "error_estimate_from": _estimate_origin(scene, estimate),
+        "error_estimate_from": _estimate_origin(scene, estimate, physics.ended_by is not None),
         "tolerance_mm": tolerance_mm,
-        "within_tolerance": None if largest is None or tolerance_mm is None else largest <= tolerance_mm,
+        "within_tolerance": None
+        if matters_mm is None or tolerance_mm is None
+        else matters_mm <= tolerance_mm,
         "max_penetration_mm": 1000.0 * physics.penetration_m,
         "max_contacts": physics.contact_count,
         "solver_residual": physics.residual,
@@ -239,11 +274,25 @@ def _numerics(
                 "limit": MAXIMUM_ENERGY_RESIDUAL,
                 "unit": "share of the energy moved",
             },
+            *(
+                [
+                    {
+                        "monitor": "residual",
+                        "worst": physics.usual_residual,
+                        "limit": physics.residual_limit,
+                        "unit": "m²/s², what the solver leaves step after step",
+                    }
+                ]
+                if physics.residual_limit is not None
+                else []
+            ),
         ],
     }
 
 
-def _estimate_origin(scene: Scene, estimate: ErrorEstimate | None) -> str:
+def _estimate_origin(scene: Scene, estimate: ErrorEstimate | None, is_cut_short: bool) -> str:
+    if is_cut_short:
+        return "none: the test was ended early"
     if estimate is None:
         return "not asked for"
     if estimate.problem is not None:

@@ -49,6 +49,8 @@ class PhysicsSummary:
         penetration_m: deepest contact [m].
         speed_mps: largest speed relative to the sled [m/s].
         residual: largest remaining solver residual, in the engine's measure.
+        usual_residual: largest median of it over ten checks.
+        residual_limit: the limit of that median, or None where the engine has none.
         contact_count: largest number of contact points.
         energy_residual: largest share of energy that appeared from nowhere.
         step_phase: largest step times spring frequency.
@@ -73,6 +75,8 @@ class PhysicsSummary:
     smallest_step_s: float
     halvings: list[str]
     ended_by: str | None = None
+    usual_residual: float = 0.0
+    residual_limit: float | None = None
 
 
 @dataclass(frozen=True)
@@ -117,6 +121,8 @@ def summarise_physics(test: LoadTest, ended_by: EndedByMonitor | None) -> Physic
         smallest_step_s=test.smallest_step_s,
         halvings=list(test.halvings),
         ended_by=str(ended_by) if ended_by is not None else None,
+        usual_residual=test.extremes.usual_residual,
+        residual_limit=test.engine.residual_limit,
     )
 
 

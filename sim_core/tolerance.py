@@ -1,20 +1,18 @@
 """A tolerance instead of a time step: the test is repeated at half its step until the error estimate keeps it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from config.errors import RefusedInput
 from config.scene import Scene
 from sim_core.companion import Answer, Companion, ErrorEstimate, compared
-from sim_core.report import Report, worst_by_rule
+from sim_core.report import Report, error_that_matters, worst_by_rule
 from sim_core.work_precision import with_setting
 
 MAXIMUM_REFINEMENTS = 3
 SHRINKS = 0.8
 """A half step that leaves more than this share of the estimate is not worth another one."""
-FAR_BEYOND = 2.0
-"""A rule broken by more than this many times its limit: how far beyond interests nobody, and has no limit."""
 
 
 class Attempted(Protocol):
@@ -55,6 +53,18 @@ class Refined(Generic[T]):
     refinements: tuple[str, ...]
 
 
+def require_estimate(scene: Scene, with_estimate: bool) -> None:
+    """Refuses a tolerance that nothing will be compared with.
+
+    Raises:
+        RefusedInput: a tolerance is to be kept without an estimate.
+    """
+    if scene.solver.tolerance_mm is not None and not with_estimate:
+        raise RefusedInput(
+            "solver.tolerance_mm", scene.solver.tolerance_mm, "cannot be kept with --no-estimate"
+        )
+
+
 def run_to_tolerance(
     asked: Scene, attempt: Callable[[Scene], T], *, with_estimate: bool = True
 ) -> Refined[T]:
@@ -72,8 +82,7 @@ def run_to_tolerance(
         RefusedInput: a tolerance is to be kept without an estimate.
     """
     tolerance_mm = asked.solver.tolerance_mm
-    if tolerance_mm is not None and not with_estimate:
-        raise RefusedInput("solver.tolerance_mm", tolerance_mm, "cannot be kept with --no-estimate")
+    require_estimate(asked, with_estimate)
     is_free = tolerance_mm is not None and asked.solver.time_step_s is None
     scene, why = with_setting(asked)
     if not with_estimate or not scene.packages:
@@ -81,15 +90,17 @@ def run_to_tolerance(
     result, estimate = _with_companion(scene, attempt)
     refinements: list[str] = []
     while is_free and tolerance_mm is not None and result.is_complete:
-        error_mm = _error_that_matters(result.judged["rules"], estimate)
+        error_mm = error_that_matters(result.judged["rules"], estimate)
         if error_mm is None or error_mm <= tolerance_mm or len(refinements) == MAXIMUM_REFINEMENTS:
             break
-        refinements.append(f"1/{1.0 / scene.time_step_s:.0f} s: {error_mm:.2g} mm")
-        finer = _at_half_step(scene)
+        finer = _at_half_step(scene, result.smallest_step_s)
+        if finer is None:
+            break
+        refinements.append(f"1/{1.0 / result.smallest_step_s:.0f} s: {error_mm:.2g} mm")
         coarse = _answer(scene, result)
         scene, result = finer, attempt(finer)
         estimate = compared(coarse, scene.time_step_s, worst_by_rule(result.judged), result.smallest_step_s)
-        left_mm = _error_that_matters(result.judged["rules"], estimate)
+        left_mm = error_that_matters(result.judged["rules"], estimate)
         if left_mm is not None and left_mm > SHRINKS * error_mm:
             break
     return Refined(scene, result, estimate, why, tuple(refinements))
@@ -105,29 +116,15 @@ def _with_companion(scene: Scene, attempt: Callable[[Scene], T]) -> tuple[T, Err
         raise
 
 
-def _error_that_matters(rules: Sequence[Mapping[str, Any]], estimate: ErrorEstimate) -> float | None:
-    """Largest estimate of the rules that are not broken beyond all doubt; None where there is no estimate."""
-    if estimate.largest_mm is None:
+def _at_half_step(scene: Scene, step_s: float) -> Scene | None:
+    """The scene at half of a step [s], or None where that doesn't fit its samples."""
+    solver = scene.solver.model_copy(update={"time_step_s": step_s / 2.0, "iterations": scene.iterations})
+    finer = scene.model_copy(update={"solver": solver})
+    try:
+        finer.steps_and_samples()
+    except ValueError:
         return None
-    errors = [0.0]
-    for rule in rules:
-        error_mm = estimate.by_rule_mm.get(rule["rule"])
-        if error_mm is None:
-            continue
-        is_hopeless = (
-            rule["limit_mm"] is not None
-            and rule["worst_mm"] > FAR_BEYOND * rule["limit_mm"]
-            and rule["worst_mm"] - error_mm > rule["limit_mm"]
-        )
-        errors.append(0.0 if is_hopeless else error_mm)
-    return max(errors)
-
-
-def _at_half_step(scene: Scene) -> Scene:
-    solver = scene.solver.model_copy(
-        update={"time_step_s": scene.time_step_s / 2.0, "iterations": scene.iterations}
-    )
-    return scene.model_copy(update={"solver": solver})
+    return finer
 
 
 def _answer(scene: Scene, result: Attempted) -> Answer:

@@ -18,6 +18,7 @@ AUTO_TOLERANCE_MM = 1.0
 TABLE = Path(__file__).with_name("work_precision.json")
 
 SceneKind = Literal["resting", "sliding", "pressed"]
+PRESSED = "pressed loads: no step is known to be inside a tolerance; the default, and Bullet's step costs least there"
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def shipped_table() -> tuple[TableRow, ...]:
 def write_table(rows: tuple[TableRow, ...], path: Path) -> None:
     """Writes a table, whole or not at all."""
     scratch = path.with_name(path.name + ".part")
-    lines = ",\n  ".join(json.dumps(asdict(row)) for row in rows)
+    lines = ",\n  ".join(json.dumps(asdict(row), ensure_ascii=False) for row in rows)
     scratch.write_text(f'{{"rows": [\n  {lines}\n]}}\n', encoding="utf-8")
     scratch.replace(path)
 
@@ -97,6 +98,9 @@ def with_setting(scene: Scene, table: Sequence[TableRow] | None = None) -> tuple
     if not is_open or (asked.engine != "auto" and asked.tolerance_mm is None):
         return scene, "the default setting" if is_open else "as the scene says"
     kind, tolerance_mm = scene_kind(scene), asked.tolerance_mm or AUTO_TOLERANCE_MM
+    if kind == "pressed":
+        engine = "bullet" if asked.engine == "auto" else asked.engine
+        return scene.model_copy(update={"solver": asked.model_copy(update={"engine": engine})}), PRESSED
     engines = installed_engines() if asked.engine == "auto" else [asked.engine]
     rows = shipped_table() if table is None else table
     fitting = [row for row in rows if row.kind == kind and row.engine in engines and _fits(scene, row)]

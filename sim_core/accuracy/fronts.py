@@ -145,12 +145,12 @@ def cheapest(rows: Sequence[Row], kind: SceneKind, tolerance_mm: float | None) -
 def work_precision(rows: Sequence[Row]) -> tuple[TableRow, ...]:
     """The table that engines and steps are chosen from: settings that ended no case of a kind, with its worst error.
 
-    A load that slides may also bump, so sliding loads count the impact's error too.
+    A load that slides may also bump, so sliding loads count the impact's error too. Pressed loads have no row: their
+    errors are chance, and don't fall with the step.
     """
     kinds: dict[WantedKind, set[str]] = {
         "resting": {"resting"},
         "sliding": {"sliding", "impact"},
-        "pressed": {"pressed"},
     }
     table = []
     for kind, sources in kinds.items():

@@ -48,12 +48,13 @@ class RigidEngine(Protocol):
     def unmet_friction(self) -> Sequence[UnmetPair]:
         """Pairs of surfaces whose friction the engine cannot represent."""
 
-    def step(self, delta_velocity: Array, forces: Array | None) -> None:
+    def step(self, delta_velocity: Array, forces: Array | None, torques: Array | None = None) -> None:
         """Advances by one step.
 
         Args:
             delta_velocity: change of the sled's velocity over the step [m/s], shape [3].
             forces: external force on each body's centre over the step [N], shape [n, 3], or None.
+            torques: external torque about each body's centre over the step [N·m], shape [n, 3], or None.
         """
 
     def poses(self) -> tuple[Array, Array]:

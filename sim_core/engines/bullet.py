@@ -202,7 +202,7 @@ class BulletEngine:
         self._edges[body] = min(box.size_m)
         return body
 
-    def step(self, delta_velocity: Array, forces: Array | None) -> None:
+    def step(self, delta_velocity: Array, forces: Array | None, torques: Array | None = None) -> None:
         """See ``RigidEngine.step``."""
         x, y, z = self._turn.to_engine(-delta_velocity[None] / self._step_s)[0].tolist()
         p.setGravity(x, y, z - GRAVITY, physicsClientId=self._client)
@@ -215,6 +215,11 @@ class BulletEngine:
                     p.applyExternalForce(
                         body, -1, force, positions[row], p.WORLD_FRAME, physicsClientId=self._client
                     )
+        if torques is not None:
+            turned = self._turn.to_engine(torques).tolist()
+            for row, body in self._moving:
+                if any(turned[row]):
+                    p.applyExternalTorque(body, -1, turned[row], p.WORLD_FRAME, physicsClientId=self._client)
         self._state = self._motion = None
         self._last_islands = p.stepSimulation(physicsClientId=self._client)
 

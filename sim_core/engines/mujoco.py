@@ -93,12 +93,14 @@ class MujocoEngine:
         """None: every pair has its own friction."""
         return ()
 
-    def step(self, delta_velocity: Array, forces: Array | None) -> None:
+    def step(self, delta_velocity: Array, forces: Array | None, torques: Array | None = None) -> None:
         """See ``RigidEngine.step``."""
         self._mj.opt.gravity[:] = -delta_velocity / self._step_s
         self._mj.opt.gravity[2] -= GRAVITY
         if forces is not None:
             self._data.xfrc_applied[self._bodies, :3] = forces[self._rows]
+        if torques is not None:
+            self._data.xfrc_applied[self._bodies, 3:] = torques[self._rows]
         model, data = self._mj, self._data
         self._state = self._motion = None
         self._set_margin()

@@ -12,7 +12,7 @@ from sim_core.stress.loads import CARTON, FLAT, Size, block_of, box, column, sce
 from sim_core.stress.model import GRACEFUL, Judgement, StressRow, Trial, within
 
 STILL_M = 1.0e-3
-"""The default ``solver.tolerance_mm``: what must not move may not move further."""
+"""What must not move may not move further."""
 CREEP_M = 1.0e-4
 SINK_SHARE = 0.01
 TEN_G = 'sled={"profile":"table","times_s":[0,0.02,0.08,0.1],"acceleration_mps2":[0,98.1,98.1,0]}'

@@ -315,7 +315,7 @@ def test_the_schema_is_json_and_lists_the_parts() -> None:
     schema = json.loads(json.dumps(Scene.model_json_schema(), allow_nan=False))
     assert set(schema["properties"]) == {
         "name", "description", "load", "pallet", "surfaces", "sled", "force_fields", "accelerometer", "limits",
-        "sampling", "solver", "seed",
+        "sampling", "solver", "seed", "wrap",
     }  # fmt: skip
     assert set(schema["required"]) == {"name", "load", "sled"}
     assert schema["additionalProperties"] is False

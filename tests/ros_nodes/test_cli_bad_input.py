@@ -59,6 +59,19 @@ BAD_SCENES: dict[str, Case] = {
         scene(sled={"level_g": 0.1, "fall_s": 0.5, "deceleration_g": 2}),
         ("sled.fall_s = 0.5", "shorter"),
     ),
+    "auto with a step": (
+        "s.json", scene(solver={"engine": "auto", "time_step_s": 0.001}), ("engine auto chooses step and iterations",)
+    ),
+    "auto with iterations": (
+        "s.json", scene(solver={"engine": "auto", "iterations": 40}), ("engine auto chooses step and iterations",)
+    ),
+    "tolerance 0": (
+        "s.json", scene(solver={"tolerance_mm": 0}), ("solver.tolerance_mm = 0", "greater than or equal to 0.05")
+    ),
+    "tolerance of 2 m": (
+        "s.json", scene(solver={"tolerance_mm": 2000}), ("solver.tolerance_mm = 2000", "less than or equal to 1000")
+    ),
+    "NaN tolerance": ("s.json", scene(solver={"tolerance_mm": float("nan")}), ("NaN", "finite number")),
     "overlap": ("s.json", scene(package(), SECOND), ("overlap of a and b = 50.00 mm", "at most 1 mm")),
     "inside the pallet": (
         "s.json", scene(package(position_m=[0, 0, 0.125])), ("overlap of pallet and a = 144.00 mm",)
@@ -166,6 +179,19 @@ def test_run_refuses_and_writes_nothing(tmp_path: Path, refuses: Callable[..., s
 def test_up_refuses_and_starts_nothing(tmp_path: Path, refuses: Callable[..., str]) -> None:
     path = written(tmp_path, BAD_SCENES["rolls backwards"])
     assert "sled.fall_s = 0.5" in refuses("up", path.name)
+
+
+@pytest.mark.parametrize("command", ["run", "up"])
+def test_a_tolerance_without_an_estimate_is_refused(refuses: Callable[..., str], command: str) -> None:
+    line = refuses(command, "block_slip", "--no-estimate", "--set", "solver.tolerance_mm=1")
+    assert "solver.tolerance_mm = 1.0: cannot be kept with --no-estimate" in line
+
+
+def test_engine_auto_with_a_step_is_refused(refuses: Callable[..., str]) -> None:
+    override = ("--set", "solver.engine=auto", "--set", "solver.time_step_s=0.0020833333333333333")
+    assert "engine auto chooses step and iterations: name an engine" in refuses(
+        "run", "block_slip", *override
+    )
 
 
 def test_a_scene_of_a_gigabyte_is_refused_unread(tmp_path: Path, refuses: Callable[..., str]) -> None:

@@ -9,8 +9,10 @@ import pytest
 from config.errors import NodeDied, RefusedInput
 from config.scene import Scene
 from recordings.recorded_sled import load_scene
-from ros_nodes.parts_cost import PARTS, Variant, measure_parts, run_apart, variants
+from ros_nodes.parts import PARTS, Variant, variants
+from ros_nodes.parts_cost import measure_parts
 from ros_nodes.parts_page import Spread, computed_graph
+from ros_nodes.parts_run import run_apart
 from tests.ros_nodes.graph import fresh_domain
 
 
@@ -35,12 +37,20 @@ def test_rows_differ_from_bare_by_their_part_alone() -> None:
         assert changed == ({part.key} if part.key else set())
         assert row.options == ((part.option,) if part.option else ())
     assert named(scene, "all").scene == scene
-    assert set(named(scene, "all").options) == {"with_bag", "with_estimate", "cross_check"}
+    assert set(named(scene, "all").options) == {"with_bag", "with_page", "with_estimate", "cross_check"}
 
 
 def test_a_scene_without_a_part_gets_its_default() -> None:
     fields = named(scene_of(), "force_fields").scene.force_fields
     assert fields is not None and fields.tension == 1.0
+
+
+def test_every_row_has_the_one_setting_that_a_tolerance_chooses(tmp_path: Path) -> None:
+    rows, _ = variants(scene_of("solver.tolerance_mm=1", "solver.engine=auto"))
+    (solver,) = {row.scene.solver for row in rows}
+    assert solver.engine in ("bullet", "mujoco") and solver.time_step_s is not None
+    assert solver.tolerance_mm is None
+    assert run_apart(rows[1], tmp_path).ended_by is None
 
 
 def test_rows_that_do_not_fit_are_told() -> None:
@@ -89,6 +99,9 @@ def test_a_part_that_is_on_is_seen(tmp_path: Path) -> None:
     assert fields.calls["sim_core.force_fields:PerimeterForceFields.forces"] > 500
     estimate = run_apart(named(scene_of(), "error_estimate"), tmp_path / "b")
     assert estimate.peak_beside_mb > 40.0 and estimate.cpu_beside_s > 0.1
+    page = run_apart(named(scene_of(), "report_page"), tmp_path / "c")
+    assert "matplotlib" in page.modules and (tmp_path / "c" / "report.html").exists()
+    assert "matplotlib" not in estimate.modules and not (tmp_path / "b" / "report.html").exists()
 
 
 def test_graph_follows_the_scene() -> None:

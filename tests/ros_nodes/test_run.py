@@ -68,6 +68,47 @@ def test_same_scene_gives_the_same_bag(tmp_path: Path) -> None:
     assert first.read_bytes() == second.read_bytes()
 
 
+TIGHT = ("--set", "solver.tolerance_mm=0.06", "--set", "solver.iterations=40")
+FINER = ("--set", "solver.time_step_s=0.0010416666666666667", "--set", "solver.iterations=40")
+
+
+def test_a_tolerance_leaves_the_bag_of_the_last_attempt_alone(tmp_path: Path) -> None:
+    # A block on the brink of tipping: its estimate is 1.9 mm at the default step and 0.05 mm at half of it.
+    done = pallet_twin("run", "block_tip", *TIGHT, "--out", "kept", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    explicit = pallet_twin("run", "block_tip", *FINER, "--out", "finer", "--no-estimate", cwd=tmp_path)
+    assert explicit.returncode == 0, explicit.stderr
+    bags = [tmp_path / name / "bag" for name in ("kept", "finer")]
+    assert [sorted(path.name for path in bag.iterdir()) for bag in bags] == [
+        ["bag_0.mcap", "metadata.yaml"]
+    ] * 2
+    first, second = (payloads(bag, "/twin/packages/poses") for bag in bags)
+    assert first == second
+    assert len(payloads(bags[0], "/twin/scene")) == len(payloads(bags[0], "/twin/eumos/report")) == 1
+    report = json.loads((tmp_path / "kept" / "report.json").read_text())
+    numerics = report["numerics"]
+    assert numerics["time_step_s"] == numerics["smallest_step_s"] == pytest.approx(1.0 / 960.0)
+    assert numerics["within_tolerance"] and numerics["error_estimate_mm"] <= 0.06
+    assert [text.split(":")[0] for text in numerics["refinements"]] == ["1/480 s"]
+    scene, judge = judge_bag(bags[0])
+    assert scene.time_step_s == pytest.approx(1.0 / 960.0) and scene.solver.tolerance_mm == 0.06
+    again = judgement(scene, judge)
+    assert json.loads(report_json(again))["series"] == report["series"]
+    assert again["scene_sha256"] == report["scene_sha256"]
+
+
+def test_engine_auto_says_what_it_chose(tmp_path: Path) -> None:
+    done = pallet_twin("run", "block_slip", "--set", "solver.engine=auto", "--no-bag", "--no-page", "--out", "out",
+                       "--json", cwd=tmp_path)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    assert report["numerics"]["engine"] in report["numerics"]["setting_chosen"].split()
+    slips = {rule["rule"]: rule["worst_mm"] for rule in report["rules"]}
+    # Without a tolerance of its own: 1 mm.
+    assert slips["permanent"] == pytest.approx(467.49964, abs=1.0)
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.json"]
+
+
 def test_interrupt_leaves_a_whole_bag(tmp_path: Path) -> None:
     process = start("run", "eur_fields_08g", "--out", "out", cwd=tmp_path, env=environment())
     wait_until_recording(tmp_path / "out" / "bag")

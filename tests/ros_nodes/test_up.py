@@ -48,6 +48,20 @@ def test_graph_gives_the_bytes_of_a_run(tmp_path: Path) -> None:
     assert reports[0]["numerics"]["mode"] == "up fast"
 
 
+def test_graph_takes_the_step_that_keeps_the_tolerance(tmp_path: Path) -> None:
+    tight = ("--set", "solver.tolerance_mm=0.06", "--set", "solver.iterations=40")
+    for command in ("up", "run"):
+        done = pallet_twin(command, "block_tip", *tight, "--out", command, cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+    poses = [payloads(tmp_path / name / "bag", "/twin/packages/poses") for name in ("up", "run")]
+    assert poses[0] == poses[1]
+    reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("up", "run")]
+    for key in ("time_step_s", "refinements", "setting_chosen", "error_estimate_mm", "within_tolerance"):
+        assert reports[0]["numerics"][key] == reports[1]["numerics"][key], key
+    assert len(reports[0]["numerics"]["refinements"]) == 1
+    assert reports[0]["scene_sha256"] == reports[1]["scene_sha256"]
+
+
 # An independent reader: its own process, deserialised messages, another executor than the recorder's.
 READER = """
 import sys, time, rclpy, rclpy.executors

@@ -49,7 +49,9 @@ def test_the_estimate_is_the_difference_to_the_doubled_step(name: str) -> None:
             2.0,
             120,
         ),
-        ({"sampling": {"samples_hz": 960, "poses_hz": 1}, "solver": {"time_step_s": 1.0 / 64}}, 2.0, 1),
+        ({"sampling": {"samples_hz": 960, "poses_hz": 1}, "solver": {"time_step_s": 1.0 / 120}}, 2.0, 1),
+        # Twice 1/60 s is more than a scene may ask for.
+        ({"sampling": {"samples_hz": 960, "poses_hz": 1}, "solver": {"time_step_s": 1.0 / 60}}, 0.5, 1),
     ],
 )
 def test_the_companions_step(

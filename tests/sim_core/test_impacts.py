@@ -124,6 +124,7 @@ def test_only_a_blow_ahead_asks_for_smaller_steps() -> None:
     assert watch([[0.0, 0.0, 0.0], [0.201, 0.0, 0.0]], [[-0.5, 0.0, 0.0], [0.0, 0.0, 0.0]]) == 1, "parting"
     assert watch([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]], closing) == 1, "has met"
     assert watch([[0.0, 0.0, -0.15], [0.201, 0.0, -0.15]], closing) == 1, "has fallen"
+    assert watch([[0.0, 0.0, 0.0], [0.3, 0.0, 0.0], [0.301, 0.201, 0.0]], [[0.0, 0.0, 0.0]] * 3) == 1, "still"
     assert watch(np.zeros((0, 3)), np.zeros((0, 3))) == 1
 
 

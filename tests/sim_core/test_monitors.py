@@ -46,6 +46,81 @@ def test_an_impact_passes_and_a_sinking_load_does_not() -> None:
     assert watch.extremes.penetration_m == 0.021 * 0.2
 
 
+HIGH, LOW = 2.0, 0.5
+
+
+@pytest.mark.parametrize(
+    ("residuals", "breached_at"),
+    [
+        # The word of ten checks is needed, however large the first are.
+        ([HIGH] * 10, 9),
+        ([1.0e6] * 9, None),
+        # One blow, or four, are none of ten; of five the median is the mean of both sides, 1.25.
+        ([LOW] * 5 + [1.0e6] + [LOW] * 20, None),
+        ([LOW] * 6 + [HIGH] * 4 + [LOW] * 10, None),
+        ([LOW] * 10 + [HIGH] * 5, 14),
+        ([LOW] * 10 + [HIGH] * 4 + [LOW] * 10, None),
+        # What is not above the limit is allowed.
+        ([1.0] * 30, None),
+    ],
+)
+def test_what_stays_unsolved_is_a_breach_and_a_blow_is_not(
+    residuals: list[float], breached_at: int | None
+) -> None:
+    watch = monitors()
+    breaches = [watch.unsolved(residual, 1.0) for residual in residuals]
+    assert next((k for k, breach in enumerate(breaches) if breach is not None), None) == breached_at
+    if breached_at is not None:
+        breach = breaches[breached_at]
+        assert breach is not None and breach.monitor == "residual" and "limit 1" in breach.reason
+
+
+def test_after_a_roll_back_the_residuals_are_counted_anew() -> None:
+    watch = monitors()
+    for _ in range(2):
+        assert [watch.unsolved(HIGH, 1.0) for _ in range(9)] == [None] * 9
+        watch.forget_recent()
+    assert [watch.unsolved(HIGH, 1.0) is not None for _ in range(10)] == [False] * 9 + [True]
+
+
+def creeping(**parts: Any) -> Scene:
+    """Five boxes of 10 kg on each other, with ten iterations a step: too few for Gauss-Seidel."""
+    boxes = [
+        {"id": f"box_{k}", "size_m": [0.4, 0.3, 0.25], "mass_kg": 10, "position_m": [0, 0, 0.269 + 0.25 * k]}
+        for k in range(5)
+    ]
+    solver = {"iterations": 10, **parts.pop("solver", {})}
+    sled = {"profile": "eumos", "level_g": 0.2}
+    return validate_scene(
+        {"name": "five", "load": {"packages": boxes}, "solver": solver, "sled": sled, **parts}
+    )
+
+
+def halvings_of(scene: Scene, **options: Any) -> list[str]:
+    test = LoadTest(scene, **options)
+    try:
+        for sample in sled_samples(scene):
+            test.take(sample)
+            if test.finished:
+                break
+        return test.halvings
+    finally:
+        test.close()
+
+
+def test_a_solver_that_creeps_is_given_a_smaller_step() -> None:
+    (halving,) = halvings_of(creeping())
+    assert ": residual: the solver leaves " in halving and "limit 0.0002" in halving
+    # Enough iterations need no halving, nor does a run that is meant to be coarse, nor a Newton solver.
+    assert halvings_of(creeping(solver={"iterations": 80})) == []
+    assert halvings_of(creeping(), with_residual_monitor=False) == []
+    assert halvings_of(creeping(solver={"engine": "mujoco"})) == []
+
+
+def test_a_solver_that_creeps_on_a_loose_pallet_is_given_a_smaller_step() -> None:
+    assert "residual" in halvings_of(creeping(pallet={"kind": "epal1", "fixed": False}))[0]
+
+
 def fields_scene(tension: float, **parts: Any) -> Scene:
     return validate_scene(
         {
