@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from config.errors import PalletTwinError
 from config.scene import Scene
 from config.scene_file import validate_scene
 from sim_core.accuracy.cases import cartons_scene
@@ -17,12 +16,12 @@ from sim_core.engines import make_engine
 from sim_core.frames import GRAVITY, Array
 from sim_core.judge import EumosJudge
 from sim_core.load_test import LoadTest
+from sim_core.run import expected_end_s
 from sim_core.sled import sled_samples
 from sim_core.work_precision import TableRow, installed_engines, with_setting
 
 TOLERANCE_MM = 0.5
 SETTLE_S = 0.2
-TAIL_S = 0.25
 MUJOCO_RATES_HZ = (120, 240, 480, 960)
 MUJOCO_IMPEDANCES = (0.99, 0.999, 0.9999)
 BULLET_SETTINGS = ((240, 50), (240, 200), (480, 50), (480, 100), (960, 25), (960, 50), (1920, 25))
@@ -71,7 +70,7 @@ def bare_loops(
     Args:
         table: what ``auto`` chooses from.
         rounds: timed runs of each, taking turns.
-        on_progress: called with the runs done, their number in the end, and what comes next.
+        on_progress: called with what is done and how much there is of it, first the search and then the rounds.
     """
     candidates = _raw_bullet() + (_raw_mujoco() if "mujoco" in installed_engines() else [])
     chosen: dict[str, tuple[float, _Loop]] = {}
@@ -109,8 +108,11 @@ def _ours(table: Sequence[TableRow]) -> list[_Loop]:
     raw = cartons_scene()
     solvers = [{"engine": "auto", "tolerance_mm": TOLERANCE_MM}, {"tolerance_mm": TOLERANCE_MM}]
     auto, bullet = (with_setting(validate_scene({**raw, "solver": s}), table)[0] for s in solvers)
+    named = {f"auto: {_words(auto)}": auto}
+    if auto.solver.engine != "bullet":
+        named[_words(bullet)] = bullet
     loops = []
-    for name, scene in {f"auto: {_words(auto)}": auto, _words(bullet): bullet}.items():
+    for name, scene in named.items():
         loops.append(_Loop(f"our test, {name}", True, partial(_our_test, scene)))
         loops.append(_Loop(f"engine alone, {_words(scene)}", False, partial(_engine_alone, scene)))
     return loops
@@ -169,9 +171,7 @@ def _accelerations(rate_hz: int) -> Array:
         {**cartons_scene(), "sampling": {"samples_hz": rate_hz, "poses_hz": min(240, rate_hz)}}
         | {"solver": {"time_step_s": 1.0 / rate_hz}}
     )
-    from sim_core.run import expected_end_s
-
-    count = round((expected_end_s(scene) - 0.25 + TAIL_S) * rate_hz)
+    count = round(expected_end_s(scene) * rate_hz)
     samples = itertools.islice(sled_samples(scene), 1, count + 1)
     return np.concatenate([np.zeros(round(SETTLE_S * rate_hz)), [s.acceleration[0] for s in samples]])
 
@@ -271,7 +271,6 @@ def _boxes() -> Sequence[tuple[tuple[float, ...], float, tuple[float, ...]]]:
     """Size, mass (0 for the pallet, which is blocked) and centre of every box."""
     scene = validate_scene(cartons_scene())
     pallet = scene.pallet_box
-    if pallet is None:
-        raise PalletTwinError("the cartons stand on a pallet")
+    assert pallet is not None
     deck = (pallet.size_m, 0.0, (0.0, 0.0, pallet.size_m[2] / 2.0))
     return [deck, *((q.size_m, q.mass_kg, q.position_m) for q in scene.packages)]

@@ -45,7 +45,7 @@ def coverage(rows: Sequence[Row]) -> list[Coverage]:
     for engine in sorted({row.engine for row in rows}):
         ratios: list[tuple[float, float, str]] = []
         for row in rows:
-            beside = by_setting.get((row.case, engine, row.rate_hz // 2, row.iterations // 2))
+            beside = by_setting.get((row.case, engine, row.rate_hz // 2, round(0.5 * row.iterations)))
             if row.engine != engine or beside is None:
                 continue
             values = {q.name: q.value for q in beside.quantities}

@@ -243,7 +243,7 @@ def test_where_every_companion_halved_its_step_the_first_to_end_counts(
     assert answer.step_s == first.time_step_s > answer.smallest_step_s
     alone = BackgroundTest([ended]).answer()
     assert alone.problem is not None and "ended by monitor 'stiffness'" in alone.problem
-    assert BackgroundTest([]).answer().problem == "no scene was given"
+    assert BackgroundTest([]).answer().problem == "no other step fits its samples"
 
 
 def test_a_coarse_step_has_a_companion_too() -> None:
