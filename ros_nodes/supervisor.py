@@ -18,6 +18,7 @@ from config.scene import Scene
 from recordings.test_bag import recorded_topics
 from ros_nodes.node_process import SUPERVISED
 from ros_nodes.readers import readers_text
+from ros_nodes.shared_memory import remove_orphans
 from sim_core.run import PhysicsSummary
 
 NAMESPACE = "/twin"
@@ -129,9 +130,12 @@ class Supervisor:
                 self._end(in_order=True)
                 return self._result(wall_s)
             finally:
+                was_cut_short = bool(self._nodes)
                 self._end(in_order=False)
                 self._node.destroy_node()
                 rclpy.try_shutdown()
+                if was_cut_short:
+                    remove_orphans()
 
     def _connect(self) -> None:
         """An own node: it listens to progress, status and report, and calls the lifecycle services."""
