@@ -8,13 +8,14 @@ SHARED_MEMORY = Path("/dev/shm")
 PREFIXES = ("fastrtps_", "sem.fastrtps_")
 
 
-def remove_orphans(folder: Path = SHARED_MEMORY) -> list[str]:
+def remove_orphans(folder: Path = SHARED_MEMORY, *, but_mine: bool = False) -> list[str]:
     """Removes this user's segments of the middleware that no process has mapped or open, and names them.
 
     A killed process cannot do it, and the middleware's next start doesn't.
 
     Args:
         folder: where the segments are.
+        but_mine: what this process itself still holds doesn't count: its middleware is shut down.
     """
     mine = [
         entry
@@ -23,7 +24,7 @@ def remove_orphans(folder: Path = SHARED_MEMORY) -> list[str]:
     ]
     if not mine:
         return []
-    used = _in_use(folder)
+    used = _in_use(folder, without=os.getpid() if but_mine else None)
     removed = []
     for entry in mine:
         # A segment and its locks go by one name: while one of them is in use, all stay.
@@ -34,11 +35,11 @@ def remove_orphans(folder: Path = SHARED_MEMORY) -> list[str]:
     return sorted(removed)
 
 
-def _in_use(folder: Path) -> set[str]:
-    """Names of the folder's files that any process of this user has mapped or open."""
+def _in_use(folder: Path, without: int | None) -> set[str]:
+    """Names of the folder's files that any process of this user, but for one, has mapped or open."""
     used: set[str] = set()
     for process in Path("/proc").iterdir():
-        if not process.name.isdigit():
+        if not process.name.isdigit() or process.name == str(without):
             continue
         try:
             maps = (process / "maps").read_text().splitlines()

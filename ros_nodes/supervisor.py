@@ -118,6 +118,8 @@ class Supervisor:
         """
         import rclpy
 
+        # What a supervisor left that was killed itself.
+        remove_orphans()
         rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         with tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
             try:
@@ -135,7 +137,7 @@ class Supervisor:
                 self._node.destroy_node()
                 rclpy.try_shutdown()
                 if was_cut_short:
-                    remove_orphans()
+                    remove_orphans(but_mine=True)
 
     def _connect(self) -> None:
         """An own node: it listens to progress, status and report, and calls the lifecycle services."""
