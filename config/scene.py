@@ -288,7 +288,9 @@ class Scene(Part):
     surfaces: Surfaces = Surfaces()
     sled: Sled
     force_fields: ForceFields | None = None
-    wrap: Wrap | None = Field(default=None, description="film around load and pallet; absent: none")
+    wrap: Wrap | None = Field(
+        default=None, description="film around load and pallet; absent: none. Not simulated yet: refused"
+    )
     accelerometer: Accelerometer | None = None
     limits: Limits = Limits()
     sampling: Sampling = Sampling()

@@ -3,7 +3,7 @@
 In frame ``sled`` the sled's acceleration a acts on every body as the inertial force −m·a. Over an interval
 
     D = W_sled + W_fields − ΔE,   E = Σ ½·m·v² + ½·ω·J·ω + m·g·z,
-    W_sled = −Δv_sled · ½·(p0 + p1),   W_fields = Σ ½·(F0 + F1) · (x1 − x0)
+    W_sled = −Δv_sled · ½·(p0 + p1),   W_fields = Σ ½·(F0 + F1) · (x1 − x0) + ½·(τ0 + τ1) · Δθ
 
 with p the load's momentum. D is what friction and inelastic contacts took: it may only grow. A fall of
 the sum of all D is energy from nowhere; the residual is the largest such fall, over the energy moved so far.
@@ -41,7 +41,7 @@ class EnergyLedger:
         squares = np.array(sizes) ** 2
         self._inertias = self._masses[:, None] * (squares.sum(axis=1)[:, None] - squares) / 12.0
         self._floor = GRAVITY * float(self._masses.sum()) * LEAST_LIFT_M
-        self._before: tuple[Array, Array, Array, float, float] | None = None
+        self._before: tuple[Array, Array, Array, Array, Array, float, float] | None = None
         self._dissipated = self._most_dissipated = self._moved = 0.0
         self.residual = 0.0
 
@@ -53,6 +53,7 @@ class EnergyLedger:
         linear: Array,
         angular: Array,
         forces: Array | None,
+        torques: Array | None = None,
     ) -> None:
         """Takes the state at a frame.
 
@@ -62,17 +63,21 @@ class EnergyLedger:
             orientations: unit quaternions x, y, z, w, shape [n, 4].
             linear: velocities [m/s], shape [n, 3].
             angular: angular velocities in the fixed frame [rad/s], shape [n, 3].
-            forces: field forces [N], shape [n, 3], or None.
+            forces: forces of fields and film [N], shape [n, 3], or None.
+            torques: torques of the film about the centres [N·m], shape [n, 3], or None.
         """
         momentum = self._masses @ linear
         in_body = np.einsum("nji,nj->ni", rotation_matrices(orientations), angular)
         kinetic = 0.5 * float(self._masses @ (linear**2).sum(axis=1) + (self._inertias * in_body**2).sum())
         potential = GRAVITY * float(self._masses @ positions[:, 2])
         push = forces if forces is not None else np.zeros_like(positions)
+        twist = torques if torques is not None else np.zeros_like(positions)
         if self._before is not None:
-            places, pushes, earlier, kinetic_before, potential_before = self._before
+            places, facing, pushes, twists, earlier, kinetic_before, potential_before = self._before
             work = -float(delta_velocity @ (earlier + momentum)) / 2.0
             work += 0.5 * float(((pushes + push) * (positions - places)).sum())
+            if torques is not None:
+                work += 0.5 * float(((twists + twist) * _turned_by(facing, orientations)).sum())
             gained = kinetic - kinetic_before + potential - potential_before
             self._dissipated += work - gained
             self._most_dissipated = max(self._most_dissipated, self._dissipated)
@@ -80,4 +85,12 @@ class EnergyLedger:
             scale = max(self._moved, self._floor)
             if scale > 0.0:
                 self.residual = max(self.residual, (self._most_dissipated - self._dissipated) / scale)
-        self._before = (positions, push, momentum, kinetic, potential)
+        self._before = (positions, orientations, push, twist, momentum, kinetic, potential)
+
+
+def _turned_by(before: Array, after: Array) -> Array:
+    """Small turns between unit quaternions as vectors in the fixed frame [rad], shape [n, 3]: 2·vec(q1·q0*)."""
+    first, second = before[:, :3], after[:, :3]
+    vectors = before[:, 3:] * second - after[:, 3:] * first - np.cross(second, first)
+    turned: Array = 2.0 * vectors * np.sign(np.einsum("ij,ij->i", before, after))[:, None]
+    return turned

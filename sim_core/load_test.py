@@ -1,10 +1,12 @@
 """One load on the sled: settles it, then turns the sled's samples into pose frames, watching itself."""
 
 from copy import copy
+from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from config.errors import EndedByMonitor, RefusedInput
+from config.errors import EndedByMonitor
 from config.scene import Scene
 from sim_core.energy import EnergyLedger
 from sim_core.engines import make_engine
@@ -15,6 +17,10 @@ from sim_core.impacts import ImpactWatch
 from sim_core.integrity import supports
 from sim_core.monitors import Breach, Extremes, Monitors
 from sim_core.sled import build_profile, stop_sample
+
+if TYPE_CHECKING:
+    from sim_core.wrap.load_film import LoadFilm, State
+    from sim_core.wrap.watch import FilmWatch
 
 # Less than 1 and 2 mm/s: boxes that stick under shear still creep in the solver, by up to half of that.
 SETTLED_FOR_S, SETTLED_WITHIN_M, SETTLE_LIMIT_S = 0.05, 5.0e-5, 2.0
@@ -64,14 +70,10 @@ class LoadTest:
         with_residual_monitor: False lets the solver leave what it leaves, for a run that is meant to be coarse.
 
     Raises:
-        RefusedInput: the profile cannot be built, or the scene has a wrap.
+        RefusedInput: the profile cannot be built.
     """
 
     def __init__(self, scene: Scene, *, with_residual_monitor: bool = True) -> None:
-        if scene.film is not None:
-            raise RefusedInput(
-                "wrap", scene.film.material, "cannot be simulated yet; force_fields stand for it"
-            )
         self.scene = scene
         self.engine = make_engine(scene)
         self._residual_limit = self.engine.residual_limit if with_residual_monitor else None
@@ -110,6 +112,13 @@ class LoadTest:
         self._snapshot: int | None = None
         self._read_poses: tuple[Array, Array] | None = None
         self._fields = self._build_fields()
+        self._film: LoadFilm | None = None
+        self._film_watch: FilmWatch | None = None
+        self._film_then: State = ()
+        self._film_holds = scene.wrap is not None and scene.wrap.coupling == "two_way"
+        # What doesn't move, or has no body, has no frequency.
+        masses = [package.mass_kg if package.kind == "package" else np.inf for package in scene.packages]
+        self._masses = np.array([pallet.mass_kg if pallet and not pallet.fixed else np.inf, *masses])
 
     @property
     def time_s(self) -> float:
@@ -120,6 +129,11 @@ class LoadTest:
     def extremes(self) -> Extremes:
         """The largest values that the monitors saw."""
         return self._monitors.extremes
+
+    @property
+    def film_summary(self) -> dict[str, object] | None:
+        """What the film went through, or None without one, or before the load had settled."""
+        return asdict(self._film_watch.summary) if self._film_watch is not None else None
 
     @property
     def smallest_step_s(self) -> float:
@@ -152,6 +166,8 @@ class LoadTest:
             self._advance(self._pending)
         self._since_snapshot.append(self._pending)
         self._pending = []
+        if self._film is not None:
+            self._follow_film()
         frame = self._frame(stamp_ns)
         if frame.index % self._frames_a_snapshot == 0:
             self._take_snapshot()
@@ -176,7 +192,23 @@ class LoadTest:
         self.engine.close()
 
     def _settle(self, stamp_ns: int) -> PoseFrame:
-        """Lets the load come to rest under gravity and returns it as frame 0."""
+        """Lets the load come to rest under gravity, and again under the film's pull, and returns it as frame 0."""
+        self.settle_s = self._come_to_rest()
+        self._require_places()
+        if self.scene.film is not None:
+            from sim_core.wrap.load_film import LoadFilm
+            from sim_core.wrap.watch import FilmWatch
+
+            self._film = LoadFilm(self.scene, *self.engine.poses())
+            self.settle_s += self._come_to_rest()
+            self._film_watch = FilmWatch(self._film)
+        self._monitors.contacts(self.engine.contacts(), self.engine.residual())
+        self._ledger = self._accounted()
+        self._take_snapshot()
+        return self._frame(stamp_ns)
+
+    def _come_to_rest(self) -> float:
+        """Steps on the standing sled until nothing moves, and says how long that took [s]."""
         still = np.zeros(3)
         watch = RestWatch(self._radii, within_m=SETTLED_WITHIN_M, for_s=SETTLED_FOR_S)
         time_s = 0.0
@@ -193,12 +225,7 @@ class LoadTest:
             if breach is not None:
                 # No halving here: a companion would halve to the same step, and the two would agree on an error.
                 raise EndedByMonitor(breach.monitor, breach.reason, 0.0)
-        self.settle_s = time_s
-        self._require_places()
-        self._monitors.contacts(self.engine.contacts(), self.engine.residual())
-        self._ledger = self._accounted()
-        self._take_snapshot()
-        return self._frame(stamp_ns)
+        return time_s
 
     def _require_places(self) -> None:
         """Refuses a load that settled by sinking: displacement from there would look small.
@@ -253,6 +280,8 @@ class LoadTest:
         if breach is None and self._fields is not None:
             frequency = self._fields.stiffest_frequency(positions, orientations)
             breach = self._monitors.stiffness(self._step_s, frequency)
+        if breach is None and self._film is not None and self._film_holds:
+            breach = self._monitors.stiffness(self._step_s, self._film.stiffest_frequency(self._masses))
         if breach is None and self._frame_count % self._frames_a_check == 0:
             breach = self._watch_contacts(positions, orientations)
         if breach is None:
@@ -275,18 +304,41 @@ class LoadTest:
         """The ledger with the state of the frame that is due."""
         ledger = copy(self._ledger)
         positions, orientations = self._read()
-        forces = self._fields.forces(positions, orientations) if self._fields is not None else None
+        forces, torques = self._loads(*self.engine.poses())
         changes = [change for frame in self._since_ledger for change in frame] + self._pending
-        ledger.update(sum(changes, np.zeros(3)), positions, orientations, *self.engine.velocities(), forces)
+        ledger.update(
+            sum(changes, np.zeros(3)), positions, orientations, *self.engine.velocities(), forces, torques
+        )
         return ledger
 
     def _take_snapshot(self) -> None:
         if self._snapshot is not None:
             self.engine.forget(self._snapshot)
         self._snapshot, self._steps_then = self.engine.snapshot(), (self._step_s, self._split)
+        self._film_then = self._film.state() if self._film is not None else ()
         self._ledger_then = self._ledger
         self._since_snapshot = []
         self._since_ledger = []
+
+    def _follow_film(self) -> None:
+        """Lets the film flow where it is overloaded, once a frame.
+
+        Raises:
+            EndedByMonitor: it tears: what holds after that is not judged yet.
+        """
+        assert self._film is not None and self._film_watch is not None
+        if not self._film_holds:
+            self._film.wrenches(*self.engine.poses())
+        self._film_watch.take(self.time_s, self._film.commit())
+        torn = self._film.film.torn
+        if torn.any():
+            x, y, z = self._film.nodes[self._film.film.triangles[torn]].mean(axis=1)[0].tolist()
+            raise EndedByMonitor(
+                "film",
+                f"the film tears at x {x:.2f} y {y:.2f} z {z:.2f} m, {int(torn.sum())} of {len(torn)} elements;"
+                " what a torn film still holds is not simulated",
+                self.time_s,
+            )
 
     def _roll_back(self, breach: Breach) -> None:
         if len(self.halvings) == MAXIMUM_HALVINGS or self._snapshot is None:
@@ -296,6 +348,8 @@ class LoadTest:
         # The state was kept with positions ahead by half of the step of then.
         self._set_step(*self._steps_then)
         self.engine.restore(self._snapshot)
+        if self._film is not None:
+            self._film.restore(self._film_then)
         self._set_step(halved_s, self._split)
         self._monitors.forget_recent()
         self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
@@ -309,11 +363,18 @@ class LoadTest:
         return PerimeterForceFields(self.scene.force_fields, self.scene, peak, *self.engine.poses())
 
     def _step(self, delta_velocity: Array) -> None:
-        forces = self._fields.forces(*self.engine.poses()) if self._fields is not None else None
-        self.engine.step(delta_velocity, forces)
+        self.engine.step(delta_velocity, *self._loads(*self.engine.poses()))
         self._read_poses = None
         self.step_count += 1
         self.impact_steps += self._split > 1
+
+    def _loads(self, positions: Array, orientations: Array) -> tuple[Array | None, Array | None]:
+        """Forces and torques of fields and film on the bodies where they are, or None where there are none."""
+        forces = self._fields.forces(positions, orientations) if self._fields is not None else None
+        if self._film is None or not self._film_holds:
+            return forces, None
+        pulls, torques = self._film.wrenches(positions, orientations)
+        return (pulls if forces is None else forces + pulls), torques
 
     def _read(self) -> tuple[Array, Array]:
         """Poses at the time of the velocities: a semi-implicit step leaves positions half a step of motion ahead."""

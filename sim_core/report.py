@@ -89,6 +89,14 @@ def full_report(
         scene, physics, estimate, error_that_matters(judged["rules"], estimate), wall_s, mode
     )
     report["numerics"] |= {"setting_chosen": why, "refinements": list(refinements)}
+    if physics.film is not None and scene.film is not None and scene.wrap is not None:
+        report["wrap"] = {
+            "material": scene.film.material,
+            "turns": scene.wrap.model_dump(mode="json")["turns"],
+            "coupling": scene.wrap.coupling,
+            "break_strain": scene.film.around.break_strain,
+            **physics.film,
+        }
     report["integrity"] = [asdict(finding) for finding in findings]
     report["versions"] = versions()
     return report

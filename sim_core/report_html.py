@@ -1,6 +1,7 @@
 """The report as one HTML page that stands on its own: read at a glance, printed for a customer's file."""
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -148,10 +149,11 @@ def _test_data(report: Report, scene: Scene) -> str:
     ]
     shown = ", ".join(friction[:8]) + (f" and {len(friction) - 8} more pairs" if len(friction) > 8 else "")
     fields = scene.force_fields
-    wrap = "none modelled"
+    wrap = _wrap_words(report.get("wrap"))
     if fields is not None:
         spread, distance = f"σ = {fields.height_spread_m:g} m", f"d = {fields.distance_m:g} m"
-        wrap = f"perimeter force fields, T = {fields.tension:g}, {spread}, {distance}"
+        film = "" if wrap == "none" else f"; {wrap}"
+        wrap = f"perimeter force fields, T = {fields.tension:g}, {spread}, {distance}{film}"
     facts = [
         ("Level", level), ("Plateau", plateau), ("Direction of travel", direction), ("Profile", profile),
         ("Travel of the sled", f"{recorded['travel_m']:.2f} m in {recorded['stop_s']:.2f} s"),
@@ -292,6 +294,18 @@ def _packages(report: Report) -> str:
         f"<section><h2>{heading}</h2>\n{_table(heads, rows[:SHOWN_PACKAGES], numeric=numeric)}{rest}"
         '<p class="small">Peak: farthest corner until the end. Permanent: farthest corner at the end. Δ:'
         " displacement of the centre at the end in the sled's axes, x forward, y left, z up.</p></section>"
+    )
+
+
+def _wrap_words(wrap: Mapping[str, Any] | None) -> str:
+    if wrap is None:
+        return "none"
+    x, y, z = wrap["peak_position_m"]
+    return (
+        f"{wrap['material'].replace('_', ' ')}, turns {wrap['turns']}, {wrap['coupling'].replace('_', '-')}; pulls with"
+        f" {wrap['start_force_npm']:.0f} N/m at the start and {wrap['peak_force_npm']:.0f} N/m at most; largest strain"
+        f" {100.0 * wrap['peak_strain']:.1f} % at x {x:.2f} y {y:.2f} z {z:.2f} m after {wrap['peak_time_s']:.2f} s,"
+        f" of {100.0 * wrap['break_strain']:.0f} % at which it tears"
     )
 
 

@@ -51,6 +51,7 @@ class PhysicsSummary:
         residual: largest remaining solver residual, in the engine's measure.
         usual_residual: largest median of it over ten checks.
         residual_limit: the limit of that median, or None where the engine has none.
+        film: what the film went through, see ``sim_core/wrap/watch.py``, or None without one.
         contact_count: largest number of contact points.
         energy_residual: largest share of energy that appeared from nowhere.
         step_phase: largest step times spring frequency.
@@ -77,6 +78,7 @@ class PhysicsSummary:
     ended_by: str | None = None
     usual_residual: float = 0.0
     residual_limit: float | None = None
+    film: dict[str, object] | None = None
 
 
 @dataclass(frozen=True)
@@ -123,6 +125,7 @@ def summarise_physics(test: LoadTest, ended_by: EndedByMonitor | None) -> Physic
         ended_by=str(ended_by) if ended_by is not None else None,
         usual_residual=test.extremes.usual_residual,
         residual_limit=test.engine.residual_limit,
+        film=test.film_summary,
     )
 
 

@@ -58,7 +58,7 @@ def scene_kind(scene: Scene) -> SceneKind:
     Args:
         scene: a resolved scene.
     """
-    if scene.force_fields is not None:
+    if scene.force_fields is not None or scene.film is not None:
         return "pressed"
     model = build_rigid_model(scene)
     least = min((model.friction[pair] for pair in model.touching if pair in model.friction), default=0.0)

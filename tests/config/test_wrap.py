@@ -272,9 +272,11 @@ def test_the_film_spans_from_pallet_to_top() -> None:
     assert film_span(Wrap(**FILM), deck_m=0.0, top_m=1.0) == (0.0, 1.0)
 
 
-def test_a_plain_wrap_is_fit_to_be_tested() -> None:
+def test_nothing_is_wrong_with_a_plain_wrap_but_no_test_can_do_it_yet() -> None:
     for material in material_library().films:
-        assert require_integrity(scene(material=material)) == []
+        assert check_integrity(scene(material=material)) == []
+        with pytest.raises(RefusedInput, match=f"wrap of the load = {material}: cannot be simulated yet"):
+            require_integrity(scene(material=material))
 
 
 @pytest.mark.parametrize(
@@ -320,10 +322,9 @@ def test_friction_of_the_film_must_be_known_where_it_lies() -> None:
     def wrapped(**wrap: Any) -> Scene:
         return validate_scene(raw(wrap={**FILM, **wrap}, pallet=metal, surfaces=pairs))
 
-    with pytest.raises(
-        RefusedInput, match=r"friction of stretch_film_20 on steel = missing: set wrap\.friction"
-    ):
-        require_integrity(wrapped())
+    (missing,) = [finding for finding in check_integrity(wrapped()) if finding.severity == "error"]
+    assert (missing.check, missing.subject) == ("friction", "stretch_film_20 on steel")
+    assert "set wrap.friction" in missing.limit
     assert findings(wrapped(friction=0.3)) == []
     assert findings(wrapped(pallet_overlap_m=0)) == [("note", "wrap.pallet_overlap_m", "0 m")]
 

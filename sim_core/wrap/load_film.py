@@ -1,0 +1,514 @@
+"""The film around a load, coupled both ways to its rigid boxes: it follows them at rest, and they feel its pull.
+
+90 g of film around 500 kg have no inertia: after each move of the boxes the film is in equilibrium. Nodes on the
+vertical edges of boxes go with them, stick or slip by friction, or let film run past (see ``contact``); where the film
+would pull a node off its edge, it lets go until it meets the box again. All other nodes are free but for the boxes,
+which they may not enter. Newton's method finds that state from the last one, with a tangent that is renewed only when
+it has become too old, so that a small move costs one or two evaluations of the film's forces.
+
+What is left out: film touches faces at its nodes only and without friction, so an edge that comes to stand out from the
+load after wrapping is met as well as the mesh resolves it; film that slips up an edge stays on that edge's line; flow
+past an edge moves the film under the mesh, but its permanent set stays with the mesh.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from config.errors import RefusedInput
+from config.scene import Scene
+from config.wrap import FilmProperties, film_span, layers_at
+from sim_core.frames import Array
+from sim_core.geometry import rotation_matrices
+from sim_core.wrap.bordered import Factor, condense, expand, factorise, number_nodes
+from sim_core.wrap.contact import (
+    ABSENT,
+    EDGE,
+    FACE,
+    FREE,
+    IDLE,
+    OPEN,
+    STUCK,
+    find_faces,
+    follow,
+    largest_excess,
+    move_nodes,
+    push_of,
+    ride,
+    set_directions,
+    share_out,
+    shift_reference,
+    slip_step,
+    slope_along,
+)
+from sim_core.wrap.film import Film, make_film, plane_stress_stiffness
+from sim_core.wrap.fit import fit_film, flattened, solid_boxes
+from sim_core.wrap.membrane import Flags, Indices, membrane_forces, tear_film, yield_film
+
+DEFAULT_SPACING_M = 0.1
+STILL_M = 1.0e-7
+"""Bodies that have moved by less since the last answer get it again."""
+TOLERANCE = 1.0e-3
+"""Force left on a node, as a share of the pull of a row of film: the error of the answer, about."""
+LEAST_STRAIN = 1.0e-3
+"""Pull that the tolerance is a share of where the film was laid loosely, as a strain."""
+PENETRATION_M = 2.0e-7
+"""Nodes deeper in a box than this are put onto its face."""
+CATCH_M = 5.0e-3
+"""A node that was let go and meets its box nearer to the edge than this is on the edge again."""
+MOST_STEPS = 40
+CONTACT_ROUNDS = 5
+WORTH_STEPS = 4
+"""Newton steps with an old tangent that cost as much as a new tangent."""
+LONGEST_MOVE = 0.1
+"""Bodies that have moved by more than this share of the spacing are followed in parts of the way."""
+lf_lm = True
+RETRIES, FINER = 2, 4
+LONGEST_STEP = 0.3
+"""Longest move of a node in one step, as a share of the spacing."""
+WILD_STEPS = 100.0
+STIFFER = 100.0
+"""Damping grows by this where a step would be so many times the longest, or isn't finite."""
+DRAG = 1.0e-3
+"""Stiffness that draws free nodes to where their edges take them, as a share of the film's own."""
+PATIENT_STEPS = 4
+OVERSHOOT, SEARCHES = 0.6, 6
+"""After so many whole steps a step is shortened where the slope behind it is more than this share of the one before
+it. Whole steps come first: a node that passes a kink of the film's law is best served by the law beyond the kink."""
+
+State = tuple[Any, ...]
+
+
+class LoadFilm:
+    """The film of one wrapped load.
+
+    Args:
+        scene: a resolved scene with a wrap around packages.
+        positions: settled centres [m], shape [package_count + 1, 3], row 0 the pallet.
+        orientations: settled unit quaternions x, y, z, w, shape [package_count + 1, 4].
+        spacing_m: distance of rows and columns of the mesh [m]; else the scene's, else 0.1.
+        film: one layer of film in figures; else the scene's.
+        tolerance: force that may be left on a node, as a share of the pull of a row of film.
+
+    Raises:
+        RefusedInput: there is no film to lay, or its friction on a surface of the load is not known.
+
+    Attributes:
+        nodes: where the film is [m], frame ``sled``, shape [n, 3]; changes in place.
+        film: its elements; :func:`~sim_core.wrap.membrane.membrane_state` shows what they carry.
+        residual_n: largest force that the last answer left unbalanced [N].
+        steps_taken: Newton steps since the film was laid.
+        tangents_made: tangents factorised since the film was laid.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        positions: Array,
+        orientations: Array,
+        *,
+        spacing_m: float | None = None,
+        film: FilmProperties | None = None,
+        tolerance: float = TOLERANCE,
+    ) -> None:
+        wrap, layer = scene.wrap, film or scene.film
+        if wrap is None or layer is None:
+            raise RefusedInput("wrap", None, "must name a film with turns around packages")
+        self._half_sizes, self._is_solid = solid_boxes(scene)
+        deck = scene.pallet_box.size_m[2] if scene.pallet_box is not None else 0.0
+        reach = np.abs(rotation_matrices(orientations)[:, 2, :] * self._half_sizes).sum(axis=1)
+        top = float((positions[:, 2] + reach)[self._is_solid].max())
+        lower, upper = film_span(wrap, deck_m=deck, top_m=top)
+        spacing = spacing_m or wrap.spacing_m or DEFAULT_SPACING_M
+        mesh = fit_film(scene, positions, orientations, span_m=(lower, upper), spacing_m=spacing)
+        layers = np.array([
+            np.mean([layers_at(wrap, upper - lower, min(z, mesh.heights[-1]) - lower) for z in np.linspace(a, b, 17)])
+            for a, b in zip(mesh.heights[:-1], mesh.heights[1:], strict=True)
+        ])  # fmt: skip
+        if not layers.max() > 0.0:
+            raise RefusedInput("wrap.turns", wrap.turns, "leave no film on the load")
+        self._columns = mesh.columns
+        self._outwards, self._signs, self._owners = mesh.outwards, mesh.edges, mesh.owners
+        self.nodes = mesh.positions.copy()
+        kept = layers[mesh.bands] > 0.0
+        triangles, bands = mesh.triangles[kept], mesh.bands[kept]
+        self._even_count = int(kept[: mesh.even_count].sum())
+        self._start_kinds(triangles)
+        self._frictions = self._frictions_of(scene, layer)
+        self._lay(layer, triangles, layers[bands], spacing, tolerance)
+        self._measure_sides(mesh.heights, layers)
+        turns = rotation_matrices(orientations)
+        local = np.einsum("nk,nkj->nj", self.nodes - positions[self._owners], turns[self._owners])
+        self._along = np.where(self._kinds == EDGE, local[:, 2], 0.0)
+        self._tears = wrap.tear
+        self._reaches = np.linalg.norm(self._half_sizes, axis=1)
+        self._last_positions = positions.copy()
+        self._last_orientations = orientations.copy()
+        self._forces, self._torques = np.zeros_like(positions), np.zeros_like(positions)
+        self.wrenches(positions, orientations)
+
+    def _start_kinds(self, triangles: Indices) -> None:
+        """Sets what each node is at first, and makes the arrays that the kernels write to."""
+        n = len(self.nodes)
+        self._kinds = np.where(self._owners >= 0, EDGE, FREE).astype(np.int64)
+        self._kinds[np.bincount(triangles.ravel(), minlength=n) == 0] = IDLE
+        self._is_edge = self._kinds == EDGE
+        self._holders = np.where(self._is_edge, self._owners, -1)
+        self._normals, self._axes = self._outwards.copy(), np.zeros((n, 3))
+        self._slips = np.zeros((n, 3), dtype=np.int64)
+        self._moved = np.zeros((n, 3))
+        self._even_ways, self._odd_ways = np.zeros((n, 3, 3)), np.zeros((n, 3, 3))
+        self._even, self._odd = np.zeros((n, 3)), np.zeros((n, 3))
+        self._pushes, self._limits, self._steps = np.zeros((n, 3)), np.zeros((n, 3)), np.zeros((n, 3))
+        self._anchors = self.nodes.copy()
+        self._shifts, self._depths = np.zeros(n), np.zeros(n)
+        self._met_bodies, self._met_normals = np.full(n, -1, dtype=np.int64), np.zeros((n, 3))
+        self._factor: Factor | None = None
+        self.residual_n, self.steps_taken, self.tangents_made = 0.0, 0, 0
+        self._is_changed = True
+
+    def _frictions_of(self, scene: Scene, layer: FilmProperties) -> Array:
+        """Friction of the film on the box whose edge each node is on, shape [n]."""
+        pallet = scene.pallet_box
+        surfaces = [pallet.surface if pallet is not None else ""] + [p.surface for p in scene.packages]
+        met = {surfaces[owner]: 0.0 for owner in self._owners[self._is_edge]}
+        known = {surface: layer.friction_on(surface) for surface in met}
+        return np.array([
+            known[surfaces[owner]] if is_edge else 0.0
+            for owner, is_edge in zip(self._owners, self._is_edge, strict=True)
+        ])  # fmt: skip
+
+    def _lay(
+        self, layer: FilmProperties, triangles: Indices, layers: Array, spacing: float, tolerance: float
+    ) -> None:
+        """Makes the elements, stretched around the load and free of pull upwards."""
+        one = plane_stress_stiffness(
+            layer.around.stiffness_npm, layer.up.stiffness_npm, layer.poisson, layer.shear_npm
+        )
+        self._stretch = 1.0 + layer.strain
+        narrowed = 1.0 - layer.poisson * layer.strain
+        self._reference = flattened(self.nodes, triangles) / [self._stretch, narrowed]
+        # The layer's figures are those of a metre as it is laid, the elements' those of a metre before it narrowed.
+        self.film: Film = make_film(
+            triangles, self._reference, narrowed * layers[:, None] * one, len(self.nodes)
+        )
+        self._yield_force = layer.around.yield_force_npm * narrowed * layers
+        self._hardening = layer.around.hardening
+        self._break_strain = np.tile([layer.around.break_strain, layer.up.break_strain], (len(layers), 1))
+        pull = max(layer.strain, LEAST_STRAIN) * layer.around.stiffness_npm * layers.max()
+        self._tolerance_n = tolerance * pull * spacing
+        self._longest_m, self._longest_move_m = LONGEST_STEP * spacing, LONGEST_MOVE * spacing
+        self._drag = DRAG * self.film.scale()[0]
+        on_border = self._is_edge.copy()
+        on_border[:: self._columns] = True
+        self._numbering = number_nodes(self.film, on_border, self._columns)
+        order = np.flatnonzero(on_border)
+        self._border_nodes = order[np.argsort(-1 - self._numbering.places[order])]
+        halves = (slice(None, self._even_count), slice(self._even_count, None))
+        self._halves: list[Any] = [tuple(values[half] for values in self.film.elements) for half in halves]
+
+    def _measure_sides(self, heights: Array, layers: Array) -> None:
+        """Which edges are before and after each node in its row, how far it is between them, and how stiff they are."""
+        rows, columns = len(heights), self._columns
+        rings = self.nodes.reshape(rows, columns, 3)
+        is_edge = self._is_edge.reshape(rows, columns)
+        gaps = np.linalg.norm(np.roll(rings, -1, axis=1) - rings, axis=2)
+        places = np.concatenate([np.zeros((rows, 1)), np.cumsum(gaps, axis=1)], axis=1)
+        self._edge_before = np.full(rows * columns, -1, dtype=np.int64)
+        self._edge_after = np.full(rows * columns, -1, dtype=np.int64)
+        self._shares = np.zeros(rows * columns)
+        self._edge_stiffness = np.zeros(rows * columns)
+        widths = np.zeros(rows)
+        modulus = float(self.film.stiffness[0, 0]) / max(float(layers[layers > 0.0][0]), 1.0e-300)
+        widths[:-1] += 0.5 * np.diff(heights) * layers
+        widths[1:] += 0.5 * np.diff(heights) * layers
+        for row in range(rows):
+            edges = np.flatnonzero(is_edge[row])
+            for first, second in zip(edges, np.roll(edges, -1), strict=True):
+                count = (second - first - 1) % columns + 1
+                side = (places[row, second] - places[row, first]) % places[row, -1] or places[row, -1]
+                for k in range(count):
+                    node = (first + k) % columns
+                    at = row * columns + node
+                    self._edge_before[at], self._edge_after[at] = (
+                        row * columns + first,
+                        row * columns + second,
+                    )
+                    self._shares[at] = (places[row, node] - places[row, first]) % places[row, -1] / side
+                for end in (first, second):
+                    self._edge_stiffness[row * columns + end] += modulus * widths[row] / side
+
+    @property
+    def off_edges(self) -> Flags:
+        """Nodes that are on no edge, shape [n]."""
+        off: Flags = self._kinds != EDGE
+        return off
+
+    def stiffest_frequency(self, masses: Array) -> float:
+        """√(k/m) of the body that the film holds hardest [rad/s], k the hoop stiffness on its edges.
+
+        k = Σ A11·h·(1/L_before + 1/L_after) over the body's edge nodes, h the height of a row and L the film's
+        length to the next edge.
+
+        Args:
+            masses: of the bodies [kg], shape [package_count + 1].
+        """
+        held = self._is_edge
+        stiffness = np.bincount(self._owners[held], self._edge_stiffness[held], minlength=len(masses))
+        return float(np.sqrt((stiffness / masses).max()))
+
+    def wrenches(self, positions: Array, orientations: Array) -> tuple[Array, Array]:
+        """The film's forces [N] and torques about the centres [N m] on the bodies, each [package_count + 1, 3].
+
+        They sum to nothing. Where no body has moved by more than 1e-7 m, they are the last ones.
+
+        Args:
+            positions: centres [m], shape [package_count + 1, 3].
+            orientations: unit quaternions x, y, z, w, shape [package_count + 1, 4].
+        """
+        before, turned_before = self._last_positions, self._last_orientations
+        turned = 2.0 * np.abs(orientations - turned_before).max(axis=1) * self._reaches
+        moved = float((np.abs(positions - before).max(axis=1) + turned).max())
+        if moved <= STILL_M and not self._is_changed:
+            return self._forces, self._torques
+        self._is_changed = False
+        kept = self.state()
+        parts = max(1, math.ceil(moved / self._longest_move_m))
+        for attempt in range(1 + RETRIES):
+            if attempt > 0:
+                # What one long move doesn't find, shorter ones may.
+                self.restore(kept)
+                self._factor = None
+                parts *= FINER
+            for part in range(1, parts + 1):
+                share = part / parts
+                turns = rotation_matrices(_between(turned_before, orientations, share))
+                self._follow(before + share * (positions - before) if part < parts else positions, turns)
+            if self.residual_n <= self._tolerance_n:
+                break
+        self._last_positions, self._last_orientations = positions.copy(), orientations.copy()
+        forces, torques = np.empty_like(positions), np.empty_like(positions)
+        share_out(
+            self.nodes, self._even + self._odd, self._kinds, self._holders, self._normals, self._columns,
+            positions, forces, torques,
+        )  # fmt: skip
+        self._forces, self._torques = forces, torques
+        return forces, torques
+
+    def _follow(self, positions: Array, turns: Array) -> None:
+        """Brings the film to rest around bodies that have moved a little."""
+        self._moved[:] = 0.0
+        before = self.nodes.copy()
+        self._ride(positions, turns)
+        follow(self.nodes, before, self._kinds, self._edge_before, self._edge_after, self._shares)
+        self._ride(positions, turns)
+        self._anchors[:] = self.nodes
+        self._settle(positions, turns)
+
+    def _ride(self, positions: Array, turns: Array) -> None:
+        """Takes the nodes on edges and faces along with their boxes."""
+        ride(
+            self._kinds, self._holders, self._signs, positions, turns, self._half_sizes, self._along, self.nodes,
+            self._normals, self._axes,
+        )  # fmt: skip
+
+    def _settle(self, positions: Array, turns: Array) -> None:
+        """Newton steps and contact changes in turns, until nothing is out of balance."""
+        rounds, aged = 0, 0
+        before, damping = np.inf, self._drag
+        self._evaluate()
+        for step in range(MOST_STEPS):
+            excess = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
+            if excess <= self._tolerance_n:
+                rounds += 1
+                if rounds > CONTACT_ROUNDS or not self._change_contacts(
+                    positions, turns, may_release=rounds < CONTACT_ROUNDS
+                ):
+                    break
+                before = np.inf
+                self._evaluate()
+                continue
+            # An old tangent is kept as long as it promises to be done before a new one would be made.
+            if aged > 0 and not excess * (excess / before) ** WORTH_STEPS <= self._tolerance_n:
+                self._factor = None
+            if step >= PATIENT_STEPS and lf_lm:
+                worse = excess > 0.7 * before
+                damping = (
+                    min(damping * 5.0, 100.0 * self._drag * 5) if worse else max(damping * 0.3, self._drag)
+                )
+            before = excess
+            if self._factor is None:
+                self._factor, aged = self._tangent(damping), 0
+            aged += 1
+            if not self._step(self._factor, positions, turns, is_careful=step >= PATIENT_STEPS):
+                self._factor, damping = None, STIFFER * damping
+        self.residual_n = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
+
+    def _tangent(self, damping: float) -> Factor:
+        self.tangents_made += 1
+        return factorise(
+            self.film, self.nodes, self._even_count, self._even_ways, self._odd_ways, self._kinds == FACE,
+            self._numbering, damping=damping,
+        )  # fmt: skip
+
+    def _evaluate(self) -> None:
+        """Forces of the film, along the ways that nodes can move, and what friction holds of them."""
+        set_directions(
+            self.nodes, self._kinds, self._normals, self._axes, self._columns, self._even_ways, self._odd_ways
+        )
+        for half, forces in zip(self._halves, (self._even, self._odd), strict=True):
+            triangles, inverse, area, stiffness, set_strain, torn = half
+            membrane_forces(self.nodes, triangles, inverse, area, stiffness, set_strain, torn, forces)
+        push_of(
+            self._kinds, self._even_ways, self._odd_ways, self._even, self._odd, self._frictions, self._columns,
+            self.nodes, self._anchors, self._drag, self._pushes, self._limits,
+        )  # fmt: skip
+
+    def _step(self, factor: Factor, positions: Array, turns: Array, *, is_careful: bool) -> bool:
+        """One Newton step of nodes, slips and flows; False where the film gives way, and nothing was done."""
+        numbering, border = self._numbering, self._border_nodes
+        inner, outer = np.empty(numbering.band_count), np.empty(numbering.border_count)
+        condense(numbering.places, self._pushes, factor.band, factor.arms, factor.reaches, inner, outer)
+        states = self._slips[border]
+        kinds = self._kinds[border]
+        states[kinds == FREE] = OPEN
+        states[kinds == FACE] = (OPEN, OPEN, ABSENT)
+        states[kinds == EDGE, 2] = ABSENT
+        states[kinds == IDLE] = ABSENT
+        flat, moves = states.ravel(), np.empty(numbering.border_count)
+        moved = self._moved[border].ravel()
+        limits = self._limits[border].ravel()
+        slip_step(factor.core, outer, limits, moved, flat, moves, self._tolerance_n)
+        expand(numbering.places, moves, factor.band, factor.arms, factor.reaches, inner, self._steps)
+        longest = float(np.abs(self._steps).max())
+        if not longest <= WILD_STEPS * self._longest_m:
+            return False
+        if longest > self._longest_m:
+            self._steps *= self._longest_m / longest
+        self.steps_taken += 1
+        slips = flat.reshape(-1, 3)
+        self._slips[border] = np.where(np.abs(slips) == 1, slips, STUCK)
+        downhill = slope_along(self._kinds, self._pushes, self._limits, self._slips, self._steps)
+        self._move(1.0, positions, turns)
+        at, low, high = 1.0, (0.0, downhill), (1.0, 0.0)
+        for _ in range(SEARCHES if is_careful else 0):
+            slope = slope_along(self._kinds, self._pushes, self._limits, self._slips, self._steps)
+            if abs(slope) <= OVERSHOOT * downhill or (at == 1.0 and slope > 0.0):
+                break
+            # The slope falls along the step: its zero lies between, by false position, not too near to either end.
+            low, high = (low, (at, slope)) if slope < 0.0 else ((at, slope), high)
+            share = min(max(low[1] / (low[1] - high[1]), 0.1), 0.9)
+            goal = low[0] + share * (high[0] - low[0])
+            self._move(goal - at, positions, turns)
+            at = goal
+        return True
+
+    def _move(self, share: float, positions: Array, turns: Array) -> None:
+        """Moves nodes and film along a share of the steps."""
+        border, steps = self._border_nodes, share * self._steps
+        self._moved[border] += np.where(self._is_edge[border, None], steps[border], 0.0)
+        move_nodes(
+            steps, self._kinds, self._even_ways, self._columns, self._edge_before, self._edge_after, self._shares,
+            self._stretch, self.nodes, self._along, self._shifts,
+        )  # fmt: skip
+        if self._shifts.any():
+            film = self.film
+            shift_reference(film.triangles, self._shifts, self._reference, film.inverse_reference, film.area)
+        self._ride(positions, turns)
+        self._evaluate()
+
+    def _change_contacts(self, positions: Array, turns: Array, *, may_release: bool) -> bool:
+        """Puts nodes that are in boxes onto faces, and lets go what the film pulls off; whether anything changed."""
+        before = self._kinds.copy()
+        held_by = self._holders.copy()
+        forces = self._even + self._odd
+        if may_release:
+            edges = np.flatnonzero(self._kinds == EDGE)
+            pull = (
+                np.einsum("nk,nkj->nj", forces[edges], turns[self._owners[edges]])[:, :2] * self._signs[edges]
+            )
+            off = edges[(pull >= 0.0).all(axis=1) & (pull.max(axis=1) > self._tolerance_n)]
+            faces = np.flatnonzero(self._kinds == FACE)
+            outward = np.einsum("nk,nk->n", forces[faces], self._normals[faces])
+            off = np.concatenate([off, faces[outward > self._tolerance_n]])
+        else:
+            off = np.array([], dtype=np.int64)
+        find_faces(
+            self.nodes, self._outwards, self._kinds, self._holders, self._normals, positions, turns, self._half_sizes,
+            self._is_solid, self._met_bodies, self._met_normals, self._depths,
+        )  # fmt: skip
+        met = (self._met_bodies >= 0) & (self._kinds <= FACE)
+        deep = met & (self._depths > PENETRATION_M)
+        left = (self._kinds == FACE) & ~met
+        self._kinds[deep] = FACE
+        self._holders[deep], self._normals[deep] = self._met_bodies[deep], self._met_normals[deep]
+        self._kinds[left] = FREE
+        self._kinds[off] = FREE
+        self._catch(np.flatnonzero(deep & self._is_edge), positions, turns)
+        free = self._kinds == FREE
+        self._holders[free] = -1
+        freed = free & (before != FREE)
+        self._normals[freed] = self._outwards[freed]
+        self._slips[self._kinds != EDGE] = STUCK
+        self._moved[self._kinds != before] = 0.0
+        changed = bool((self._kinds != before).any() or (self._holders != held_by).any())
+        if ((self._kinds == EDGE) != (before == EDGE)).any():
+            self._factor = None
+        if changed:
+            self._ride(positions, turns)
+        return changed
+
+    def _catch(self, nodes: Indices, positions: Array, turns: Array) -> None:
+        """Nodes that were let go and have met their own box again near its edge are on it again."""
+        owners = self._owners[nodes]
+        local = np.einsum("nk,nkj->nj", self.nodes[nodes] - positions[owners], turns[owners])
+        room = self._half_sizes[owners, :2] - local[:, :2] * self._signs[nodes]
+        back = ((room > -CATCH_M) & (room < CATCH_M)).all(axis=1) & (self._holders[nodes] == owners)
+        caught = nodes[back]
+        self._kinds[caught], self._holders[caught] = EDGE, self._owners[caught]
+        self._along[caught] = local[back, 2]
+
+    def commit(self) -> float:
+        """Lets overloaded film flow and tear, once a step; gives the elastic energy that it lost [J]."""
+        film = self.film
+        lost = 0.0
+        if np.isfinite(self._yield_force).any():
+            flowed, count = yield_film(self.nodes, *film.elements, self._yield_force, self._hardening)
+            lost += flowed
+            self._is_changed |= count > 0
+        if self._tears:
+            torn, freed = tear_film(self.nodes, *film.elements, self._break_strain)
+            lost += freed
+            self._is_changed |= len(torn) > 0
+        return lost
+
+    _KEPT: Sequence[str] = (
+        "nodes", "_reference", "_along", "_kinds", "_holders", "_normals", "_axes", "_slips", "_yield_force",
+        "_last_positions", "_last_orientations", "_forces", "_torques",
+    )  # fmt: skip
+    _KEPT_ELEMENTS: Sequence[str] = ("inverse_reference", "area", "set_strain", "torn")
+
+    def state(self) -> State:
+        """All that the film remembers; :meth:`restore` takes it back to the bit."""
+        own = tuple(getattr(self, name).copy() for name in self._KEPT)
+        elements = tuple(getattr(self.film, name).copy() for name in self._KEPT_ELEMENTS)
+        return own, elements, (self._factor, self._is_changed, self.residual_n)
+
+    def restore(self, state: State) -> None:
+        """Takes the film back to a state that :meth:`state` gave."""
+        own, elements, (self._factor, self._is_changed, self.residual_n) = state
+        for name, value in zip(self._KEPT, own, strict=True):
+            getattr(self, name)[...] = value
+        for name, value in zip(self._KEPT_ELEMENTS, elements, strict=True):
+            getattr(self.film, name)[...] = value
+
+
+def _between(first: Array, second: Array, share: float) -> Array:
+    """Orientations part of the way from the first to the second, which is near; shape [n, 4]."""
+    if share == 1.0:
+        return second
+    mixed = first + share * (second * np.sign(np.einsum("nk,nk->n", first, second))[:, None] - first)
+    result: Array = mixed / np.linalg.norm(mixed, axis=1, keepdims=True)
+    return result
