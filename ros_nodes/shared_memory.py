@@ -1,10 +1,13 @@
 """Shared memory that killed nodes leave behind: each keeps 64 MB of it until somebody takes it away."""
 
 import os
+import time
 from contextlib import suppress
 from pathlib import Path
 
 SHARED_MEMORY = Path("/dev/shm")
+LEAST_AGE_S = 1.0
+"""What is younger may be in the making."""
 PREFIXES = ("fastrtps_", "sem.fastrtps_")
 
 
@@ -20,7 +23,7 @@ def remove_orphans(folder: Path = SHARED_MEMORY, *, but_mine: bool = False) -> l
     mine = [
         entry
         for entry in (folder.iterdir() if folder.is_dir() else ())
-        if entry.name.startswith(PREFIXES) and entry.stat().st_uid == os.getuid()
+        if entry.name.startswith(PREFIXES) and _is_old_and_mine(entry)
     ]
     if not mine:
         return []
@@ -35,6 +38,14 @@ def remove_orphans(folder: Path = SHARED_MEMORY, *, but_mine: bool = False) -> l
     return sorted(removed)
 
 
+def _is_old_and_mine(entry: Path) -> bool:
+    try:
+        status = entry.stat()
+    except FileNotFoundError:
+        return False
+    return status.st_uid == os.getuid() and time.time() - status.st_mtime > LEAST_AGE_S
+
+
 def _in_use(folder: Path, without: int | None) -> set[str]:
     """Names of the folder's files that any process of this user, but for one, has mapped or open."""
     used: set[str] = set()
@@ -42,15 +53,20 @@ def _in_use(folder: Path, without: int | None) -> set[str]:
         if not process.name.isdigit() or process.name == str(without):
             continue
         try:
-            maps = (process / "maps").read_text().splitlines()
             links = list((process / "fd").iterdir())
+            targets = [_target(link) for link in links]
+            # After the open files: a segment that is being made is open first, and then mapped.
+            maps = (process / "maps").read_text().splitlines()
         except OSError:
             # It ended, or is another user's: then so are its segments.
             continue
-        paths = [line.split(maxsplit=5)[-1] for line in maps]
-        for link in links:
-            # Also the one that listed them is gone by now.
-            with suppress(OSError):
-                paths.append(str(link.readlink()))
+        paths = targets + [line.split(maxsplit=5)[-1] for line in maps]
         used |= {Path(path).name for path in paths if path.startswith(f"{folder}/")}
     return used
+
+
+def _target(link: Path) -> str:
+    """What an open file is; nothing for one that is closed by now."""
+    with suppress(OSError):
+        return str(link.readlink())
+    return ""

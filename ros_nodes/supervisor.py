@@ -118,8 +118,6 @@ class Supervisor:
         """
         import rclpy
 
-        # What a supervisor left that was killed itself.
-        remove_orphans()
         rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
         with tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
             try:

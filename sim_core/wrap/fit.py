@@ -100,6 +100,43 @@ def fit_film(
     )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Sides:
+    """The film's sides, from one edge of the load to the next in each row.
+
+    Attributes:
+        before: the edge node before each node, or -1 in a row without edges; an edge node's own, shape [n].
+        after: the edge node after it, shape [n].
+        shares: how far along its side each node is, 0 to 1, shape [n].
+    """
+
+    before: Indices
+    after: Indices
+    shares: Array
+
+
+def find_sides(mesh: FilmMesh, is_edge: Flags) -> Sides:
+    """The sides of a film as it was wrapped.
+
+    Args:
+        mesh: the film.
+        is_edge: nodes on edges, shape [n].
+    """
+    shape = mesh.rows, mesh.columns
+    rings, on_edge = mesh.positions.reshape(*shape, 3), is_edge.reshape(shape)
+    gaps = np.linalg.norm(np.roll(rings, -1, axis=1) - rings, axis=2)
+    before, after = np.full((2, *shape), -1, dtype=np.int64)
+    shares = np.zeros(shape)
+    for row in range(mesh.rows):
+        edges = np.flatnonzero(on_edge[row])
+        for first, second in zip(edges, np.roll(edges, -1), strict=True):
+            nodes = (first + np.arange((second - first - 1) % mesh.columns + 1)) % mesh.columns
+            along = np.cumsum(gaps[row, nodes])
+            before[row, nodes], after[row, nodes] = row * mesh.columns + first, row * mesh.columns + second
+            shares[row, nodes[1:]] = along[:-1] / along[-1]
+    return Sides(before.ravel(), after.ravel(), shares.ravel())
+
+
 def solid_boxes(scene: Scene) -> tuple[Array, Flags]:
     """Half sizes of every body [m], shape [package_count + 1, 3], and which of them a film can lie on."""
     pallet = scene.pallet_box

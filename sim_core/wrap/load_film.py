@@ -1,14 +1,20 @@
 """The film around a load, coupled both ways to its rigid boxes: it follows them at rest, and they feel its pull.
 
 90 g of film around 500 kg have no inertia: after each move of the boxes the film is in equilibrium. Nodes on the
-vertical edges of boxes go with them, stick or slip by friction, or let film run past (see ``contact``); where the film
+vertical edges of boxes go with them, stick or slip by friction, or let film run past (see ``edges``); where the film
 would pull a node off its edge, it lets go until it meets the box again. All other nodes are free but for the boxes,
 which they may not enter. Newton's method finds that state from the last one, with a tangent that is renewed only when
 it has become too old, so that a small move costs one or two evaluations of the film's forces.
 
-What is left out: film touches faces at its nodes only and without friction, so an edge that comes to stand out from the
-load after wrapping is met as well as the mesh resolves it; film that slips up an edge stays on that edge's line; flow
-past an edge moves the film under the mesh, but its permanent set stays with the mesh.
+Film laid without a pull upwards lies at a kink of its law: a little narrower, and it wrinkles and has no stiffness
+upwards at all. A weak drag, from where the last move would take the nodes, keeps such nodes in place; what it carries
+is below the tolerance for moves of millimetres and is gone when the load rests. All that is left on free nodes, drag
+included, is handed to the nearest edges of the row, so the film's forces on the bodies sum to nothing whatever is left.
+
+What is left out: film touches boxes at its nodes only and without friction but on edges that bent it when it was laid,
+so an edge that comes to stand out later is met as well as the mesh resolves it; film that slips up an edge stays on
+that edge's line; flow past an edge moves the film under the mesh, but its permanent set stays with the mesh; nothing
+is folded over the top.
 """
 
 import math
@@ -23,28 +29,21 @@ from config.wrap import FilmProperties, film_span, layers_at
 from sim_core.frames import Array
 from sim_core.geometry import rotation_matrices
 from sim_core.wrap.bordered import Factor, condense, expand, factorise, number_nodes
-from sim_core.wrap.contact import (
+from sim_core.wrap.contact import EDGE, FACE, FREE, IDLE, find_faces, follow, ride, share_out
+from sim_core.wrap.edges import (
     ABSENT,
-    EDGE,
-    FACE,
-    FREE,
-    IDLE,
     OPEN,
     STUCK,
-    find_faces,
-    follow,
     largest_excess,
     move_nodes,
     push_of,
-    ride,
     set_directions,
-    share_out,
     shift_reference,
     slip_step,
     slope_along,
 )
 from sim_core.wrap.film import Film, make_film, plane_stress_stiffness
-from sim_core.wrap.fit import fit_film, flattened, solid_boxes
+from sim_core.wrap.fit import find_sides, fit_film, flattened, solid_boxes
 from sim_core.wrap.membrane import Flags, Indices, membrane_forces, tear_film, yield_film
 
 DEFAULT_SPACING_M = 0.1
@@ -52,31 +51,34 @@ STILL_M = 1.0e-7
 """Bodies that have moved by less since the last answer get it again."""
 TOLERANCE = 1.0e-3
 """Force left on a node, as a share of the pull of a row of film: the error of the answer, about."""
-LEAST_STRAIN = 1.0e-3
-"""Pull that the tolerance is a share of where the film was laid loosely, as a strain."""
+LEAST_STRAIN = 1.0e-2
+"""Strain whose pull the tolerance is a share of where the film was laid looser than that."""
 PENETRATION_M = 2.0e-7
 """Nodes deeper in a box than this are put onto its face."""
 CATCH_M = 5.0e-3
 """A node that was let go and meets its box nearer to the edge than this is on the edge again."""
-MOST_STEPS = 40
-CONTACT_ROUNDS = 5
-WORTH_STEPS = 4
-"""Newton steps with an old tangent that cost as much as a new tangent."""
 LONGEST_MOVE = 0.1
 """Bodies that have moved by more than this share of the spacing are followed in parts of the way."""
-lf_lm = True
-RETRIES, FINER = 2, 4
-LONGEST_STEP = 0.3
-"""Longest move of a node in one step, as a share of the spacing."""
-WILD_STEPS = 100.0
-STIFFER = 100.0
-"""Damping grows by this where a step would be so many times the longest, or isn't finite."""
+RETRIES, FINER, MOST_PARTS = 2, 4, 64
+"""How often a move that found no rest is tried again, in so many times the parts, and the most parts of all."""
+NEARLY = 3.0
+"""A residual of so many times the tolerance is not worth another try."""
+MOST_STEPS, CONTACT_ROUNDS = 40, 5
+WORTH_STEPS = 4
+"""Newton steps with an old tangent that cost as much as a new tangent."""
+LONGEST_STEP, WILD_STEPS = 0.3, 100.0
+"""Longest move of a node in one step as a share of the spacing, and how many times that no step may ask for."""
 DRAG = 1.0e-3
 """Stiffness that draws free nodes to where their edges take them, as a share of the film's own."""
-PATIENT_STEPS = 4
-OVERSHOOT, SEARCHES = 0.6, 6
-"""After so many whole steps a step is shortened where the slope behind it is more than this share of the one before
-it. Whole steps come first: a node that passes a kink of the film's law is best served by the law beyond the kink."""
+LEAST_DAMPING = 1.0e-3
+"""Share of the drag that keeps a stiffness regular."""
+PATIENT_STEPS, OVERSHOOT, SEARCHES = 4, 0.6, 6
+"""Whole steps come first, since a node that passes a kink of the film's law is best served by the law beyond it. After
+so many a step is shortened where the slope behind it is more than this share of the one before it, by so many trials
+at most, and damped (Levenberg and Marquardt)."""
+SLOW, STIFFER, SOFTER, MOST_DAMPING = 0.7, 5.0, 0.3, 500.0
+"""Steps that leave more than this share of the excess raise the damping, others lower it, from the drag to so many
+times the drag."""
 
 State = tuple[Any, ...]
 
@@ -124,7 +126,7 @@ class LoadFilm:
         spacing = spacing_m or wrap.spacing_m or DEFAULT_SPACING_M
         mesh = fit_film(scene, positions, orientations, span_m=(lower, upper), spacing_m=spacing)
         layers = np.array([
-            np.mean([layers_at(wrap, upper - lower, min(z, mesh.heights[-1]) - lower) for z in np.linspace(a, b, 17)])
+            np.mean([layers_at(wrap, upper - lower, z - lower) for z in np.linspace(a, b, 17)])
             for a, b in zip(mesh.heights[:-1], mesh.heights[1:], strict=True)
         ])  # fmt: skip
         if not layers.max() > 0.0:
@@ -138,7 +140,7 @@ class LoadFilm:
         self._start_kinds(triangles)
         self._frictions = self._frictions_of(scene, layer)
         self._lay(layer, triangles, layers[bands], spacing, tolerance)
-        self._measure_sides(mesh.heights, layers)
+        self._sides = find_sides(mesh, self._is_edge)
         turns = rotation_matrices(orientations)
         local = np.einsum("nk,nkj->nj", self.nodes - positions[self._owners], turns[self._owners])
         self._along = np.where(self._kinds == EDGE, local[:, 2], 0.0)
@@ -148,6 +150,7 @@ class LoadFilm:
         self._last_orientations = orientations.copy()
         self._forces, self._torques = np.zeros_like(positions), np.zeros_like(positions)
         self.wrenches(positions, orientations)
+        self._held_stiffness = self._stiffness_on_bodies(len(positions))
 
     def _start_kinds(self, triangles: Indices) -> None:
         """Sets what each node is at first, and makes the arrays that the kernels write to."""
@@ -209,36 +212,23 @@ class LoadFilm:
         halves = (slice(None, self._even_count), slice(self._even_count, None))
         self._halves: list[Any] = [tuple(values[half] for values in self.film.elements) for half in halves]
 
-    def _measure_sides(self, heights: Array, layers: Array) -> None:
-        """Which edges are before and after each node in its row, how far it is between them, and how stiff they are."""
-        rows, columns = len(heights), self._columns
-        rings = self.nodes.reshape(rows, columns, 3)
-        is_edge = self._is_edge.reshape(rows, columns)
-        gaps = np.linalg.norm(np.roll(rings, -1, axis=1) - rings, axis=2)
-        places = np.concatenate([np.zeros((rows, 1)), np.cumsum(gaps, axis=1)], axis=1)
-        self._edge_before = np.full(rows * columns, -1, dtype=np.int64)
-        self._edge_after = np.full(rows * columns, -1, dtype=np.int64)
-        self._shares = np.zeros(rows * columns)
-        self._edge_stiffness = np.zeros(rows * columns)
-        widths = np.zeros(rows)
-        modulus = float(self.film.stiffness[0, 0]) / max(float(layers[layers > 0.0][0]), 1.0e-300)
-        widths[:-1] += 0.5 * np.diff(heights) * layers
-        widths[1:] += 0.5 * np.diff(heights) * layers
-        for row in range(rows):
-            edges = np.flatnonzero(is_edge[row])
-            for first, second in zip(edges, np.roll(edges, -1), strict=True):
-                count = (second - first - 1) % columns + 1
-                side = (places[row, second] - places[row, first]) % places[row, -1] or places[row, -1]
-                for k in range(count):
-                    node = (first + k) % columns
-                    at = row * columns + node
-                    self._edge_before[at], self._edge_after[at] = (
-                        row * columns + first,
-                        row * columns + second,
-                    )
-                    self._shares[at] = (places[row, node] - places[row, first]) % places[row, -1] / side
-                for end in (first, second):
-                    self._edge_stiffness[row * columns + end] += modulus * widths[row] / side
+    def _stiffness_on_bodies(self, body_count: int) -> Array:
+        """Stiffness that each body feels on its edges [N/m], shape [body_count]: the larger of around and along them.
+
+        All other edges held, from the tangent with the free nodes condensed out.
+        """
+        factor, border = self._tangent(LEAST_DAMPING * self._drag), self._border_nodes
+        stiffness = np.zeros((body_count, 2))
+        on_edge = np.flatnonzero(self._kinds[border] == EDGE)
+        columns, owners = border % self._columns, self._owners[border]
+        for way in range(2):
+            core = factor.core[way::3, way::3]
+            for one in on_edge:
+                # Nodes of one edge of the body move together; its other edges move another way.
+                same = on_edge[(columns[on_edge] == columns[one]) & (owners[on_edge] == owners[one])]
+                stiffness[owners[one], way] += core[one, same].sum()
+        hardest: Array = stiffness.max(axis=1)
+        return hardest
 
     @property
     def off_edges(self) -> Flags:
@@ -247,22 +237,21 @@ class LoadFilm:
         return off
 
     def stiffest_frequency(self, masses: Array) -> float:
-        """√(k/m) of the body that the film holds hardest [rad/s], k the hoop stiffness on its edges.
+        """√(k/m) of the body that the film as it was laid holds hardest [rad/s].
 
-        k = Σ A11·h·(1/L_before + 1/L_after) over the body's edge nodes, h the height of a row and L the film's
-        length to the next edge.
+        k is Σ A11·h·(1/L_before + 1/L_after) over the body's edge nodes, h the height of a row and L the film's length
+        to the next edge, and what film above and below adds to it.
 
         Args:
             masses: of the bodies [kg], shape [package_count + 1].
         """
-        held = self._is_edge
-        stiffness = np.bincount(self._owners[held], self._edge_stiffness[held], minlength=len(masses))
-        return float(np.sqrt((stiffness / masses).max()))
+        return float(np.sqrt((self._held_stiffness / masses).max()))
 
     def wrenches(self, positions: Array, orientations: Array) -> tuple[Array, Array]:
         """The film's forces [N] and torques about the centres [N m] on the bodies, each [package_count + 1, 3].
 
-        They sum to nothing. Where no body has moved by more than 1e-7 m, they are the last ones.
+        They sum to nothing. Where no body has moved by more than 1e-7 m, or poses aren't finite, they are the last
+        ones. Read-only.
 
         Args:
             positions: centres [m], shape [package_count + 1, 3].
@@ -271,22 +260,22 @@ class LoadFilm:
         before, turned_before = self._last_positions, self._last_orientations
         turned = 2.0 * np.abs(orientations - turned_before).max(axis=1) * self._reaches
         moved = float((np.abs(positions - before).max(axis=1) + turned).max())
-        if moved <= STILL_M and not self._is_changed:
+        if (moved <= STILL_M and not self._is_changed) or not math.isfinite(moved):
             return self._forces, self._torques
         self._is_changed = False
         kept = self.state()
-        parts = max(1, math.ceil(moved / self._longest_move_m))
+        parts = min(max(1, math.ceil(moved / self._longest_move_m)), MOST_PARTS)
         for attempt in range(1 + RETRIES):
             if attempt > 0:
                 # What one long move doesn't find, shorter ones may.
                 self.restore(kept)
                 self._factor = None
-                parts *= FINER
+                parts = min(FINER * parts, MOST_PARTS)
             for part in range(1, parts + 1):
                 share = part / parts
                 turns = rotation_matrices(_between(turned_before, orientations, share))
                 self._follow(before + share * (positions - before) if part < parts else positions, turns)
-            if self.residual_n <= self._tolerance_n:
+            if self.residual_n <= NEARLY * self._tolerance_n:
                 break
         self._last_positions, self._last_orientations = positions.copy(), orientations.copy()
         forces, torques = np.empty_like(positions), np.empty_like(positions)
@@ -294,6 +283,8 @@ class LoadFilm:
             self.nodes, self._even + self._odd, self._kinds, self._holders, self._normals, self._columns,
             positions, forces, torques,
         )  # fmt: skip
+        # They may be given again: nobody may add to them.
+        forces.flags.writeable = torques.flags.writeable = False
         self._forces, self._torques = forces, torques
         return forces, torques
 
@@ -302,7 +293,7 @@ class LoadFilm:
         self._moved[:] = 0.0
         before = self.nodes.copy()
         self._ride(positions, turns)
-        follow(self.nodes, before, self._kinds, self._edge_before, self._edge_after, self._shares)
+        follow(self.nodes, before, self._kinds, self._sides.before, self._sides.after, self._sides.shares)
         self._ride(positions, turns)
         self._anchors[:] = self.nodes
         self._settle(positions, turns)
@@ -333,16 +324,15 @@ class LoadFilm:
             # An old tangent is kept as long as it promises to be done before a new one would be made.
             if aged > 0 and not excess * (excess / before) ** WORTH_STEPS <= self._tolerance_n:
                 self._factor = None
-            if step >= PATIENT_STEPS and lf_lm:
-                worse = excess > 0.7 * before
-                damping = (
-                    min(damping * 5.0, 100.0 * self._drag * 5) if worse else max(damping * 0.3, self._drag)
-                )
+            is_careful = step >= PATIENT_STEPS
+            if is_careful:
+                factor = STIFFER if excess > SLOW * before else SOFTER
+                damping = min(max(factor * damping, self._drag), MOST_DAMPING * self._drag)
             before = excess
             if self._factor is None:
                 self._factor, aged = self._tangent(damping), 0
             aged += 1
-            if not self._step(self._factor, positions, turns, is_careful=step >= PATIENT_STEPS):
+            if not self._step(self._factor, positions, turns, is_careful=is_careful):
                 self._factor, damping = None, STIFFER * damping
         self.residual_n = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
 
@@ -410,8 +400,8 @@ class LoadFilm:
         border, steps = self._border_nodes, share * self._steps
         self._moved[border] += np.where(self._is_edge[border, None], steps[border], 0.0)
         move_nodes(
-            steps, self._kinds, self._even_ways, self._columns, self._edge_before, self._edge_after, self._shares,
-            self._stretch, self.nodes, self._along, self._shifts,
+            steps, self._kinds, self._even_ways, self._columns, self._sides.before, self._sides.after,
+            self._sides.shares, self._stretch, self.nodes, self._along, self._shifts,
         )  # fmt: skip
         if self._shifts.any():
             film = self.film
@@ -499,8 +489,9 @@ class LoadFilm:
     def restore(self, state: State) -> None:
         """Takes the film back to a state that :meth:`state` gave."""
         own, elements, (self._factor, self._is_changed, self.residual_n) = state
-        for name, value in zip(self._KEPT, own, strict=True):
-            getattr(self, name)[...] = value
+        self.nodes[:] = own[0]
+        for name, value in zip(self._KEPT[1:], own[1:], strict=True):
+            setattr(self, name, value.copy())
         for name, value in zip(self._KEPT_ELEMENTS, elements, strict=True):
             getattr(self.film, name)[...] = value
 
