@@ -23,7 +23,6 @@ from config.scene_file import scene_from_json
 from sim_core.frames import GRAVITY
 from sim_core.judge import EumosJudge
 from sim_core.load_test import LoadTest
-from sim_core.sled import sled_samples
 
 LEAST_MM = 0.05
 """What a blow may leave, see ``sim_core/impacts.py``."""
@@ -237,12 +236,8 @@ def _answer(scene: Scene, is_coarse: bool) -> tuple[Answer, bool]:
     test, judge = LoadTest(scene, with_residual_monitor=not is_coarse), EumosJudge(scene)
     problem = None
     try:
-        for sample in sled_samples(scene):
-            frame = test.take(sample)
-            if frame is not None:
-                judge.add(frame)
-            if test.finished:
-                break
+        for frame in test.frames():
+            judge.add(frame)
     except EndedByMonitor as error:
         problem = f"at a step of {1000.0 * scene.time_step_s:.3g} ms: {error}"
     finally:

@@ -1,5 +1,6 @@
 """One load on the sled: settles it, then turns the sled's samples into pose frames, watching itself."""
 
+from collections.abc import Iterator
 from copy import copy
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -16,7 +17,7 @@ from sim_core.geometry import rotation_matrices, turned_by_half_step
 from sim_core.impacts import ImpactWatch
 from sim_core.integrity import supports
 from sim_core.monitors import Breach, Extremes, Monitors
-from sim_core.sled import build_profile, stop_sample
+from sim_core.sled import build_profile, sled_samples, stop_sample
 
 if TYPE_CHECKING:
     from sim_core.wrap.load_film import LoadFilm, State
@@ -177,6 +178,19 @@ class LoadTest:
     def take(self, sample: SledSample) -> PoseFrame | None:
         """Takes a sled sample of this process; see ``feed``."""
         return self.feed(sample.index, sample.acceleration, sample.stamp_ns)
+
+    def frames(self) -> Iterator[PoseFrame]:
+        """Every frame of the scene's own sled, to the end of the test.
+
+        Raises:
+            EndedByMonitor: as ``feed``; the frames until then have been given out.
+        """
+        for sample in sled_samples(self.scene):
+            frame = self.take(sample)
+            if frame is not None:
+                yield frame
+            if self.finished:
+                return
 
     @property
     def unmet_friction(self) -> list[str]:
