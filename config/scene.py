@@ -245,12 +245,20 @@ class Sampling(Part):
 
     samples_hz: int = Field(default=960, ge=60, le=8000, description="sled samples")
     poses_hz: int = Field(default=240, ge=1, le=8000, description="pose frames")
+    film_hz: int = Field(
+        default=30, ge=1, le=8000, description="frames of the film, of a wrapped load, about"
+    )
 
     @model_validator(mode="after")
     def _frames_fall_on_samples(self) -> Self:
         if self.samples_hz % self.poses_hz:
             raise ValueError(f"samples_hz {self.samples_hz} must be a multiple of poses_hz {self.poses_hz}")
         return self
+
+    @property
+    def frames_a_film_frame(self) -> int:
+        """Every so many pose frames there is one of the film."""
+        return max(1, self.poses_hz // self.film_hz)
 
 
 class Solver(Part):
@@ -288,9 +296,7 @@ class Scene(Part):
     surfaces: Surfaces = Surfaces()
     sled: Sled
     force_fields: ForceFields | None = None
-    wrap: Wrap | None = Field(
-        default=None, description="film around load and pallet; absent: none. Not simulated yet: refused"
-    )
+    wrap: Wrap | None = Field(default=None, description="film around load and pallet; absent: none")
     accelerometer: Accelerometer | None = None
     limits: Limits = Limits()
     sampling: Sampling = Sampling()

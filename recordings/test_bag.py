@@ -26,7 +26,7 @@ from msgs_adapters.topics import (
     Topic,
 )
 from recordings.bag_writer import BagWriter
-from sim_core.frames import AccelerometerSample, Array, PoseFrame, RuleState, SledSample
+from sim_core.frames import AccelerometerSample, Array, FilmFrame, PoseFrame, RuleState, SledSample
 
 SCENE_ATTACHMENT = "scene.json"
 TRANSFORMS_HZ = 60
@@ -118,6 +118,9 @@ class TestBag:
         transforms = self._transforms.add_frame(frame)
         if transforms is not None:
             self._write(transforms)
+
+    def on_film(self, frame: FilmFrame) -> None:
+        """See ``TestObserver``."""
 
     def on_rules(self, stamp_ns: int, rules: list[RuleState]) -> None:
         """See ``TestObserver``."""

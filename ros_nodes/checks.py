@@ -7,7 +7,7 @@ from typing import Any
 from config.errors import RefusedInput
 from config.scene import Scene
 from recordings.recorded_sled import load_scene
-from sim_core.integrity import Finding, check_integrity, deepest_overlaps, not_simulated
+from sim_core.integrity import Finding, check_integrity, deepest_overlaps
 
 BAG_MAGIC = b"\x89MCAP0\r\n"
 
@@ -30,7 +30,7 @@ def check_file(name: str, overrides: Sequence[str]) -> tuple[list[Finding], dict
     if is_bag:
         return _check_bag(path)
     scene = load_scene(name, overrides)
-    return [*not_simulated(scene), *check_integrity(scene)], _facts(scene)
+    return check_integrity(scene), _facts(scene)
 
 
 def _is_mcap(path: Path) -> bool:

@@ -68,6 +68,34 @@ class PoseFrame:
     orientations: Array
 
 
+@dataclass(frozen=True, eq=False)
+class FilmFrame:
+    """The film around the load, an element a row, as it is published: float32.
+
+    Strains count from the tension-free film.
+
+    Attributes:
+        index: running number of the pose frame that it belongs to.
+        stamp_ns: simulated time [ns].
+        corners: places of the elements' corners, frame ``sled`` [m], shape [m, 3, 3].
+        unrolled: the same corners on the film unrolled as it was laid: way around the load, counter-clockwise from
+            above, and height above the sled [m], shape [m, 3, 2].
+        strains: the largest in any direction, around the load, and up its side, shape [m, 3].
+        peaks: the largest strain in any direction so far, shape [m].
+        forces: largest pull in any direction, of all layers [N/m], shape [m].
+        torn_s: when the element tore, since the first frame [s], or -1 while it is whole, shape [m].
+    """
+
+    index: int
+    stamp_ns: int
+    corners: NDArray[np.float32]
+    unrolled: NDArray[np.float32]
+    strains: NDArray[np.float32]
+    peaks: NDArray[np.float32]
+    forces: NDArray[np.float32]
+    torn_s: NDArray[np.float32]
+
+
 @dataclass(frozen=True)
 class RuleState:
     """How one EUMOS rule stands.

@@ -103,21 +103,13 @@ def check_integrity(scene: Scene) -> list[Finding]:
     return sorted(findings, key=lambda finding: order[finding.severity])
 
 
-def not_simulated(scene: Scene) -> list[Finding]:
-    """What a scene may describe, but no test can do yet."""
-    if scene.film is None:
-        return []
-    limit = "cannot be simulated yet: leave it out, or take force_fields"
-    return [Finding("error", "wrap", "the load", scene.film.material, limit)]
-
-
 def require_integrity(scene: Scene) -> list[Finding]:
     """The findings of a load that can be tested.
 
     Raises:
         RefusedInput: the first error, naming packages, value and limit.
     """
-    findings = [*not_simulated(scene), *check_integrity(scene)]
+    findings = check_integrity(scene)
     errors = [finding for finding in findings if finding.severity == "error"]
     if errors:
         first = errors[0]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.scene import Scene
-from sim_core.frames import Array, PoseFrame, RuleState
+from sim_core.frames import Array, FilmFrame, PoseFrame, RuleState
 from sim_core.geometry import CORNER_SIGNS, box_corners, rotation_matrices
 
 Verdict = Literal["pass", "fail", "unresolved"]
@@ -89,6 +89,16 @@ class EumosJudge:
         self._layer_peak = 0.0
         self._times: list[float] = []
         self._band_rows: list[Array] = []
+        self._film: FilmFrame | None = None
+
+    def add_film(self, frame: FilmFrame) -> None:
+        """Takes the film at the pose frame of the same number, before or after that one."""
+        self._film = frame
+
+    @property
+    def film(self) -> FilmFrame | None:
+        """The newest frame of the film, or None without one."""
+        return self._film
 
     def add(self, frame: PoseFrame) -> None:
         """Takes the next frame; the first one is the settled state.
@@ -231,23 +241,33 @@ class EumosJudge:
         )
 
     def _damage_rule(self) -> RuleState:
-        """Rigid packages don't crush: what is judged here is a package that toppled or fell off its place."""
+        """Rigid packages don't crush: what is judged here is a package that toppled or fell, and film that tore."""
         tilts = self._tilts_deg()
         drop = self._first.positions[:, 2] - self._newest.positions[:, 2]
         lost = (tilts > TOPPLED_TILT_DEG) | (drop > np.maximum(self._half_sizes[:, 2], 0.02))
         lost[0] = False
         row = int(np.argmax(np.where(lost, np.maximum(tilts, 1.0), 0.0)))
         found = bool(lost.any())
+        package, time_s = self._names[row], self._now_s
+        height_m = float(self._first.positions[row, 2])
+        title = "structural damage: a package toppled or fallen"
+        if self._film is not None:
+            title += ", or film torn"
+            torn_s = self._film.torn_s
+            if not found and torn_s.max(initial=-1.0) >= 0.0:
+                first = int(np.where(torn_s >= 0.0, torn_s, np.inf).argmin())
+                found, package, time_s = True, "film", float(torn_s[first])
+                height_m = float(self._film.unrolled[first, :, 1].mean())
         return RuleState(
             rule="damage",
-            title="structural damage: a package toppled or fallen",
+            title=title,
             state="fail" if found else "pass",
             limit_mm=None,
             worst_mm=None,
             margin_mm=None,
-            package=self._names[row] if found else None,
-            time_s=self._now_s if found else None,
-            height_m=float(self._first.positions[row, 2]) if found else None,
+            package=package if found else None,
+            time_s=time_s if found else None,
+            height_m=height_m if found else None,
         )
 
     def _layer_rule(self, limit_m: float) -> RuleState:

@@ -12,7 +12,7 @@ from config.scene import Scene
 from sim_core.energy import EnergyLedger
 from sim_core.engines import make_engine
 from sim_core.force_fields import PerimeterForceFields
-from sim_core.frames import Array, PoseFrame, SledSample
+from sim_core.frames import Array, FilmFrame, PoseFrame, SledSample
 from sim_core.geometry import rotation_matrices, turned_by_half_step
 from sim_core.impacts import ImpactWatch
 from sim_core.integrity import supports
@@ -72,6 +72,9 @@ class LoadTest:
 
     Raises:
         RefusedInput: the profile cannot be built.
+
+    Attributes:
+        film_frame: the film at the pose frame that was given out last, where one is due with it.
     """
 
     def __init__(self, scene: Scene, *, with_residual_monitor: bool = True) -> None:
@@ -116,6 +119,7 @@ class LoadTest:
         self._film: LoadFilm | None = None
         self._film_watch: FilmWatch | None = None
         self._film_then: State = ()
+        self.film_frame: FilmFrame | None = None
         self._film_holds = scene.wrap is not None and scene.wrap.coupling == "two_way"
         # What doesn't move, or has no body, has no frequency.
         masses = [package.mass_kg if package.kind == "package" else np.inf for package in scene.packages]
@@ -170,6 +174,7 @@ class LoadTest:
         if self._film is not None:
             self._follow_film()
         frame = self._frame(stamp_ns)
+        self._show_film(frame)
         if frame.index % self._frames_a_snapshot == 0:
             self._take_snapshot()
         self._look_for_rest(index, frame)
@@ -219,7 +224,9 @@ class LoadTest:
         self._monitors.contacts(self.engine.contacts(), self.engine.residual())
         self._ledger = self._accounted()
         self._take_snapshot()
-        return self._frame(stamp_ns)
+        frame = self._frame(stamp_ns)
+        self._show_film(frame)
+        return frame
 
     def _come_to_rest(self) -> float:
         """Steps on the standing sled until nothing moves, and says how long that took [s]."""
@@ -312,6 +319,8 @@ class LoadTest:
         stands = self._impacts.standing(positions, rotation_matrices(orientations)).all()
         if breach is None and limit is not None and stands:
             breach = self._monitors.unsolved(residual, limit)
+        if breach is None and self._film is not None and stands:
+            breach = self._monitors.unbalanced_film(self._film.residual)
         return breach
 
     def _accounted(self) -> EnergyLedger:
@@ -335,24 +344,16 @@ class LoadTest:
         self._since_ledger = []
 
     def _follow_film(self) -> None:
-        """Lets the film flow where it is overloaded, once a frame.
-
-        Raises:
-            EndedByMonitor: it tears: what holds after that is not judged yet.
-        """
+        """Lets the film flow and tear where it is overloaded, once a frame: tears run a ring of elements a frame."""
         assert self._film is not None and self._film_watch is not None
         if not self._film_holds:
             self._film.wrenches(*self.engine.poses())
-        self._film_watch.take(self.time_s, self._film.commit())
-        torn = self._film.film.torn
-        if torn.any():
-            x, y, z = self._film.nodes[self._film.film.triangles[torn]].mean(axis=1)[0].tolist()
-            raise EndedByMonitor(
-                "film",
-                f"the film tears at x {x:.2f} y {y:.2f} z {z:.2f} m, {int(torn.sum())} of {len(torn)} elements;"
-                " what a torn film still holds is not simulated",
-                self.time_s,
-            )
+        self._film_watch.take(self.time_s + 1.0 / self.scene.sampling.poses_hz, self._film.commit())
+
+    def _show_film(self, frame: PoseFrame) -> None:
+        self.film_frame = None
+        if self._film_watch is not None and frame.index % self.scene.sampling.frames_a_film_frame == 0:
+            self.film_frame = self._film_watch.frame(frame.index, frame.stamp_ns)
 
     def _roll_back(self, breach: Breach) -> None:
         if len(self.halvings) == MAXIMUM_HALVINGS or self._snapshot is None:
@@ -369,6 +370,8 @@ class LoadTest:
         self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
         for changes in self._since_snapshot:
             self._advance(changes)
+            if self._film is not None:
+                self._film.commit()
 
     def _build_fields(self) -> PerimeterForceFields | None:
         if self.scene.force_fields is None or not self.scene.packages:

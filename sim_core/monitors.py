@@ -18,6 +18,8 @@ MAXIMUM_RELATIVE_PENETRATION = 0.02
 PENETRATION_CHECKS = 3
 RESIDUAL_CHECKS = 10
 """A blow leaves a large residual once; the median of this many checks is what stays unsolved."""
+MAXIMUM_FILM_RESIDUAL = 0.05
+"""Median over ten checks of the force that the film leaves unbalanced, as a share of the pull of a row of it."""
 MAXIMUM_STEP_PHASE = 0.3
 """Step times the frequency of the stiffest spring: below it a spring's peak is within 1 % (the explicit limit is 2)."""
 MAXIMUM_ENERGY_RESIDUAL = 0.05
@@ -44,6 +46,7 @@ class Extremes:
         contact_count: largest number of contact points.
         step_phase: largest step times spring frequency.
         energy_residual: largest share of energy that appeared from nowhere.
+        film_residual: largest median over ten checks of what the film leaves unbalanced, as a share of a row's pull.
     """
 
     penetration_m: float = 0.0
@@ -53,6 +56,7 @@ class Extremes:
     contact_count: int = 0
     step_phase: float = 0.0
     energy_residual: float = 0.0
+    film_residual: float = 0.0
 
 
 class Monitors:
@@ -67,12 +71,14 @@ class Monitors:
         self._names, self._radii = names, radii
         self._deep_checks = 0
         self._residuals: deque[float] = deque(maxlen=RESIDUAL_CHECKS)
+        self._film_residuals: deque[float] = deque(maxlen=RESIDUAL_CHECKS)
         self.extremes = Extremes()
 
     def forget_recent(self) -> None:
         """Starts counting anew, after the state was rolled back."""
         self._deep_checks = 0
         self._residuals.clear()
+        self._film_residuals.clear()
 
     def motion(self, positions: Array, linear: Array, angular: Array) -> Breach | None:
         """Finite state, place and speed; shapes [n, 3], metres and radians a second."""
@@ -120,6 +126,21 @@ class Monitors:
         if usual > limit:
             return Breach(
                 "residual", f"the solver leaves {usual:.2g} unsolved step after step, limit {limit:.2g}"
+            )
+        return None
+
+    def unbalanced_film(self, residual: float) -> Breach | None:
+        """What the film leaves unbalanced, as a share of the pull of a row of it: it has not found its rest."""
+        self._film_residuals.append(residual)
+        if len(self._film_residuals) < RESIDUAL_CHECKS:
+            return None
+        usual = median(self._film_residuals)
+        self.extremes.film_residual = max(self.extremes.film_residual, usual)
+        if usual > MAXIMUM_FILM_RESIDUAL:
+            return Breach(
+                "film",
+                f"the film is out of balance by {100.0 * usual:.0f} % of a row's pull check after check,"
+                f" limit {100.0 * MAXIMUM_FILM_RESIDUAL:.0f} %",
             )
         return None
 

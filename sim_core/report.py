@@ -14,6 +14,7 @@ from sim_core.integrity import Finding
 from sim_core.judge import EumosJudge, Verdict, corner_name, verdict_of
 from sim_core.monitors import (
     MAXIMUM_ENERGY_RESIDUAL,
+    MAXIMUM_FILM_RESIDUAL,
     MAXIMUM_RELATIVE_PENETRATION,
     MAXIMUM_SPEED_MPS,
     MAXIMUM_STEP_PHASE,
@@ -47,6 +48,7 @@ def judgement(scene: Scene, judge: EumosJudge, *, is_complete: bool = True) -> R
         "height_m": judge.height_m if rules else None,
         "series": asdict(judge.series()) if rules else None,
         "moments": _moments(judge) if rules else [],
+        **_film_entry(judge),
         "sled": _sled_entry(scene),
         "load": _load_entry(scene),
         "scene_sha256": scene.sha256,
@@ -201,6 +203,23 @@ def _moments(judge: EumosJudge) -> list[dict[str, Any]]:
     ]
 
 
+def _film_entry(judge: EumosJudge) -> dict[str, Any]:
+    """The unrolled film, an element a row: corners, largest strain of the whole test, and when it tore."""
+    film = judge.film
+    if film is None:
+        return {}
+    return {
+        "film": {
+            "corners_m": [
+                [round(value, 4) for value in row] for row in film.unrolled.reshape(-1, 6).tolist()
+            ],
+            "middles_m": [[round(value, 3) for value in row] for row in film.corners.mean(axis=1).tolist()],
+            "peak_strain": [round(value, 5) for value in film.peaks.tolist()],
+            "torn_s": [round(value, 4) for value in film.torn_s.tolist()],
+        }
+    }
+
+
 def _sled_entry(scene: Scene) -> dict[str, Any]:
     profile = build_profile(scene)
     thin = max(1, len(profile.times) // 2000)
@@ -292,6 +311,18 @@ def _numerics(
                     }
                 ]
                 if physics.residual_limit is not None
+                else []
+            ),
+            *(
+                [
+                    {
+                        "monitor": "film",
+                        "worst": physics.film_residual,
+                        "limit": MAXIMUM_FILM_RESIDUAL,
+                        "unit": "share of a row's pull, what the film leaves unbalanced",
+                    }
+                ]
+                if physics.film is not None
                 else []
             ),
         ],

@@ -7,7 +7,7 @@ from typing import Protocol
 
 from config.errors import EndedByMonitor
 from config.scene import Scene
-from sim_core.frames import AccelerometerSample, PoseFrame, RuleState, SledSample
+from sim_core.frames import AccelerometerSample, FilmFrame, PoseFrame, RuleState, SledSample
 from sim_core.integrity import Finding, require_integrity
 from sim_core.judge import EumosJudge
 from sim_core.load_test import LoadTest
@@ -30,6 +30,9 @@ class TestObserver(Protocol):
     def on_frame(self, frame: PoseFrame) -> None:
         """A pose frame, after the judge took it."""
 
+    def on_film(self, frame: FilmFrame) -> None:
+        """The film of a wrapped load, right after the pose frame of the same number."""
+
     def on_rules(self, stamp_ns: int, rules: list[RuleState]) -> None:
         """The rules as they stand, ten times a simulated second and at the end."""
 
@@ -51,6 +54,7 @@ class PhysicsSummary:
         residual: largest remaining solver residual, in the engine's measure.
         usual_residual: largest median of it over ten checks.
         residual_limit: the limit of that median, or None where the engine has none.
+        film_residual: largest median over ten checks of what the film leaves unbalanced, as a share of a row's pull.
         film: what the film went through, see ``sim_core/wrap/watch.py``, or None without one.
         contact_count: largest number of contact points.
         energy_residual: largest share of energy that appeared from nowhere.
@@ -79,6 +83,7 @@ class PhysicsSummary:
     usual_residual: float = 0.0
     residual_limit: float | None = None
     film: dict[str, object] | None = None
+    film_residual: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -126,6 +131,7 @@ def summarise_physics(test: LoadTest, ended_by: EndedByMonitor | None) -> Physic
         usual_residual=test.extremes.usual_residual,
         residual_limit=test.engine.residual_limit,
         film=test.film_summary,
+        film_residual=test.extremes.film_residual,
     )
 
 
@@ -196,6 +202,10 @@ def run_test(
             judge.add(frame)
             for observer in watching:
                 observer.on_frame(frame)
+            if test.film_frame is not None:
+                judge.add_film(test.film_frame)
+                for observer in watching:
+                    observer.on_film(test.film_frame)
             if is_followed and (status_due(frame, scene) or test.finished):
                 rules = judge.rules()
                 for observer in watching:

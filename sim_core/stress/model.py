@@ -97,6 +97,9 @@ class _Path:
         """Keeps a frame."""
         self.frames.append(frame)
 
+    def on_film(self, frame: object) -> None:
+        """Not needed."""
+
     def on_rules(self, stamp_ns: int, rules: object) -> None:
         """Not needed."""
 

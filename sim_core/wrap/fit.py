@@ -299,3 +299,17 @@ def flattened(positions: Array, triangles: Indices) -> Array:
     return np.stack(
         [np.einsum("mck,mk->mc", relative, across), np.einsum("mck,mk->mc", relative, up)], axis=2
     )
+
+
+def unrolled(mesh: FilmMesh) -> Array:
+    """The triangles' corners on the unrolled film: way around, the mean of all rows, and height [m], [m, 3, 2].
+
+    It is cut along the first column; the way around goes on past the end, so that no triangle is torn by the cut.
+    """
+    rings = mesh.positions.reshape(mesh.rows, mesh.columns, 3)
+    gaps = np.linalg.norm(np.roll(rings, -1, axis=1) - rings, axis=2).mean(axis=0)
+    ends = np.cumsum(gaps)
+    columns, rows = mesh.triangles % mesh.columns, mesh.triangles // mesh.columns
+    around = np.concatenate([[0.0], ends[:-1]])[columns]
+    is_last = (columns == mesh.columns - 1).any(axis=1)[:, None] & (columns == 0)
+    return np.stack([np.where(is_last, ends[-1], around), mesh.heights[rows]], axis=2)

@@ -43,7 +43,7 @@ from sim_core.wrap.edges import (
     slope_along,
 )
 from sim_core.wrap.film import Film, make_film, plane_stress_stiffness
-from sim_core.wrap.fit import find_sides, fit_film, flattened, solid_boxes
+from sim_core.wrap.fit import find_sides, fit_film, flattened, solid_boxes, unrolled
 from sim_core.wrap.membrane import Flags, Indices, membrane_forces, tear_film, yield_film
 
 DEFAULT_SPACING_M = 0.1
@@ -100,6 +100,8 @@ class LoadFilm:
     Attributes:
         nodes: where the film is [m], frame ``sled``, shape [n, 3]; changes in place.
         film: its elements; :func:`~sim_core.wrap.membrane.membrane_state` shows what they carry.
+        unrolled: the elements' corners on the film unrolled as it was laid, see
+            :class:`~sim_core.frames.FilmFrame`, shape [m, 3, 2].
         residual_n: largest force that the last answer left unbalanced [N].
         steps_taken: Newton steps since the film was laid.
         tangents_made: tangents factorised since the film was laid.
@@ -136,6 +138,7 @@ class LoadFilm:
         self.nodes = mesh.positions.copy()
         kept = layers[mesh.bands] > 0.0
         triangles, bands = mesh.triangles[kept], mesh.bands[kept]
+        self.unrolled = unrolled(mesh)[kept].astype(np.float32)
         self._even_count = int(kept[: mesh.even_count].sum())
         self._start_kinds(triangles)
         self._frictions = self._frictions_of(scene, layer)
@@ -201,7 +204,8 @@ class LoadFilm:
         self._hardening = layer.around.hardening
         self._break_strain = np.tile([layer.around.break_strain, layer.up.break_strain], (len(layers), 1))
         pull = max(layer.strain, LEAST_STRAIN) * layer.around.stiffness_npm * layers.max()
-        self._tolerance_n = tolerance * pull * spacing
+        self._row_pull_n = pull * spacing
+        self._tolerance_n = tolerance * self._row_pull_n
         self._longest_m, self._longest_move_m = LONGEST_STEP * spacing, LONGEST_MOVE * spacing
         self._drag = DRAG * self.film.scale()[0]
         on_border = self._is_edge.copy()
@@ -229,6 +233,11 @@ class LoadFilm:
                 stiffness[owners[one], way] += core[one, same].sum()
         hardest: Array = stiffness.max(axis=1)
         return hardest
+
+    @property
+    def residual(self) -> float:
+        """Largest force that the last answer left unbalanced, as a share of the pull of a row of film."""
+        return float(self.residual_n / self._row_pull_n)
 
     @property
     def off_edges(self) -> Flags:
@@ -471,8 +480,16 @@ class LoadFilm:
         if self._tears:
             torn, freed = tear_film(self.nodes, *film.elements, self._break_strain)
             lost += freed
-            self._is_changed |= len(torn) > 0
+            if len(torn):
+                self._lose_bare_nodes()
         return lost
+
+    def _lose_bare_nodes(self) -> None:
+        """Takes the nodes out that have no whole element any more."""
+        whole = self.film.triangles[~self.film.torn]
+        self._kinds[np.bincount(whole.ravel(), minlength=len(self.nodes)) == 0] = IDLE
+        self._slips[self._kinds == IDLE] = STUCK
+        self._factor, self._is_changed = None, True
 
     _KEPT: Sequence[str] = (
         "nodes", "_reference", "_along", "_kinds", "_holders", "_normals", "_axes", "_slips", "_yield_force",

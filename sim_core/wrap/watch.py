@@ -1,11 +1,11 @@
-"""What the film went through: its largest strain and pull, where and when, and what it has left."""
+"""What the film goes through: frames of it to publish, its largest strain and pull, where and when, what it lost."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sim_core.frames import Array
+from sim_core.frames import Array, FilmFrame
 from sim_core.wrap.membrane import membrane_state
 
 if TYPE_CHECKING:
@@ -18,25 +18,31 @@ class FilmSummary:
 
     Attributes:
         nodes: number of nodes of its mesh.
+        elements: number of its elements.
         peak_strain: largest strain in any direction, from the tension-free film.
         peak_position_m: middle of that element then, frame ``sled`` [m].
         peak_time_s: when [s].
         start_force_npm: largest pull in the settled load, of all layers together [N/m].
         peak_force_npm: largest pull in any direction [N/m].
         torn: number of torn elements.
+        first_tear_position_m: middle of the element that tore first, frame ``sled`` [m], or None.
+        first_tear_time_s: when [s], or None.
         lost_j: elastic energy lost by flowing and tearing [J].
-        residual_n: largest force left on a node [N].
+        residual: largest force left on a node, as a share of the pull of a row of film.
     """
 
     nodes: int
+    elements: int
     peak_strain: float = 0.0
     peak_position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     peak_time_s: float = 0.0
     start_force_npm: float = 0.0
     peak_force_npm: float = 0.0
     torn: int = 0
+    first_tear_position_m: tuple[float, float, float] | None = None
+    first_tear_time_s: float | None = None
     lost_j: float = 0.0
-    residual_n: float = 0.0
+    residual: float = 0.0
 
 
 class FilmWatch:
@@ -51,7 +57,9 @@ class FilmWatch:
         count = len(film.film.triangles)
         self._strains: Array = np.zeros((count, 5))
         self._forces: Array = np.zeros((count, 2))
-        self.summary = FilmSummary(len(film.nodes))
+        self._peaks: Array = np.zeros(count)
+        self._torn_s: Array = np.full(count, -1.0)
+        self.summary = FilmSummary(len(film.nodes), count)
         self.take(0.0, 0.0)
         self.summary.start_force_npm = self.summary.peak_force_npm
 
@@ -67,13 +75,38 @@ class FilmWatch:
             load_film.nodes, elements.triangles, elements.inverse_reference, elements.stiffness, elements.set_strain,
             elements.torn, self._strains, self._forces,
         )  # fmt: skip
-        largest = np.where(elements.torn, -1.0, self._strains[:, 3])
+        newly = elements.torn & (self._torn_s < 0.0)
+        # What tears has reached its strain; what is torn already has none.
+        largest = np.where(elements.torn & ~newly, -1.0, self._strains[:, 3])
+        np.maximum(self._peaks, largest, out=self._peaks)
         worst = int(largest.argmax())
         if largest[worst] > kept.peak_strain:
-            x, y, z = load_film.nodes[elements.triangles[worst]].mean(axis=0).tolist()
-            kept.peak_strain, kept.peak_position_m = float(largest[worst]), (x, y, z)
+            kept.peak_strain, kept.peak_position_m = float(largest[worst]), self._middle(worst)
             kept.peak_time_s = time_s
+        if newly.any():
+            self._torn_s[newly] = time_s
+            if kept.first_tear_time_s is None:
+                first = int(np.where(newly, largest, -1.0).argmax())
+                kept.first_tear_time_s, kept.first_tear_position_m = time_s, self._middle(first)
+            kept.torn = int(elements.torn.sum())
         kept.peak_force_npm = max(kept.peak_force_npm, float(self._forces.max(initial=0.0)))
-        kept.torn = int(elements.torn.sum())
         kept.lost_j += lost_j
-        kept.residual_n = max(kept.residual_n, load_film.residual_n)
+        kept.residual = max(kept.residual, load_film.residual)
+
+    def frame(self, index: int, stamp_ns: int) -> FilmFrame:
+        """The film at the last look, to be published with a pose frame's number and stamp [ns]."""
+        film = self._film.film
+        return FilmFrame(
+            index=index,
+            stamp_ns=stamp_ns,
+            corners=self._film.nodes[film.triangles].astype(np.float32),
+            unrolled=self._film.unrolled,
+            strains=self._strains[:, [3, 0, 1]].astype(np.float32),
+            peaks=self._peaks.astype(np.float32),
+            forces=self._forces[:, 0].astype(np.float32),
+            torn_s=self._torn_s.astype(np.float32),
+        )
+
+    def _middle(self, element: int) -> tuple[float, float, float]:
+        x, y, z = self._film.nodes[self._film.film.triangles[element]].mean(axis=0).tolist()
+        return x, y, z

@@ -15,7 +15,7 @@ from config.materials import material_library
 from config.scene import Scene
 from config.scene_file import find_scene, read_scene, scene_from_json, shipped_scenes, validate_scene
 from config.wrap import FilmLaw, Turns, Wrap, film_properties, film_span, layers_at
-from sim_core.integrity import Finding, check_integrity, require_integrity
+from sim_core.integrity import Finding, check_integrity
 
 FILM = {"material": "stretch_film_20", "turns": 3}
 NAN, INF = math.nan, math.inf
@@ -272,11 +272,9 @@ def test_the_film_spans_from_pallet_to_top() -> None:
     assert film_span(Wrap(**FILM), deck_m=0.0, top_m=1.0) == (0.0, 1.0)
 
 
-def test_nothing_is_wrong_with_a_plain_wrap_but_no_test_can_do_it_yet() -> None:
+def test_nothing_is_wrong_with_a_plain_wrap() -> None:
     for material in material_library().films:
         assert check_integrity(scene(material=material)) == []
-        with pytest.raises(RefusedInput, match=f"wrap of the load = {material}: cannot be simulated yet"):
-            require_integrity(scene(material=material))
 
 
 @pytest.mark.parametrize(
