@@ -5,7 +5,10 @@ from typing import NamedTuple
 
 from config.scene import Scene
 from msgs_adapters.cdr import serialize
+from msgs_adapters.colours import full_strain
 from msgs_adapters.convert import to_accel, to_diagnostics, to_imu, to_markers, to_odometry, to_string
+from msgs_adapters.film_mesh import film_mesh_payload
+from msgs_adapters.film_payloads import film_cloud_payload
 from msgs_adapters.pose_payloads import pose_array_payload
 from msgs_adapters.robot_description import robot_description
 from msgs_adapters.stamps import to_clock
@@ -20,9 +23,11 @@ from msgs_adapters.topics import (
     SLED_ACCELERATION,
     SLED_ACCELEROMETER,
     SLED_ODOMETRY,
+    WRAP_MESH,
+    WRAP_STRAIN,
     Topic,
 )
-from sim_core.frames import AccelerometerSample, PoseFrame, RuleState, SledSample
+from sim_core.frames import AccelerometerSample, FilmFrame, PoseFrame, RuleState, SledSample
 
 MARKERS_HZ = 30
 
@@ -39,6 +44,11 @@ def sled_topics(scene: Scene) -> tuple[Topic, ...]:
     """What the sled sends in this scene."""
     sensor = (SLED_ACCELEROMETER,) if scene.accelerometer is not None else ()
     return (CLOCK, SLED_ACCELERATION, SLED_ODOMETRY, *sensor)
+
+
+def film_topics(scene: Scene) -> tuple[Topic, ...]:
+    """What the film is sent on in this scene, its mesh only while somebody looks."""
+    return (WRAP_STRAIN, WRAP_MESH) if scene.film is not None else ()
 
 
 def sample_publications(sample: SledSample, scene: Scene) -> Iterator[Publication]:
@@ -77,6 +87,17 @@ def markers_publication(frame: PoseFrame, scene: Scene) -> Publication:
     pallet = scene.pallet_box
     message = to_markers(frame, scene.packages, pallet.size_m if pallet is not None else None)
     return Publication(PACKAGES_MARKERS, frame.stamp_ns, serialize(message))
+
+
+def film_publication(frame: FilmFrame) -> Publication:
+    """The film of a frame."""
+    return Publication(WRAP_STRAIN, frame.stamp_ns, film_cloud_payload(frame))
+
+
+def film_markers_publication(frame: FilmFrame, scene: Scene) -> Publication:
+    """The film as a mesh coloured by strain, of a scene that has one."""
+    assert scene.film is not None
+    return Publication(WRAP_MESH, frame.stamp_ns, film_mesh_payload(frame, full_strain(scene.film.around)))
 
 
 def rules_publication(stamp_ns: int, rules: list[RuleState]) -> Publication:

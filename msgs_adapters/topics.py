@@ -60,6 +60,8 @@ SLED_ACCELEROMETER = Topic("sled/accelerometer", "sensor_msgs/msg/Imu", STREAM)
 SLED_ODOMETRY = Topic("sled/odometry", "nav_msgs/msg/Odometry", STREAM)
 PACKAGES_POSES = Topic("packages/poses", "geometry_msgs/msg/PoseArray", STREAM)
 PACKAGES_MARKERS = Topic("packages/markers", "visualization_msgs/msg/MarkerArray", VIEW)
+WRAP_STRAIN = Topic("wrap/strain", "sensor_msgs/msg/PointCloud2", STREAM)
+WRAP_MESH = Topic("wrap/mesh", "visualization_msgs/msg/Marker", VIEW)
 ROBOT_DESCRIPTION = Topic("robot_description", "std_msgs/msg/String", LATCHED)
 SCENE = Topic("scene", "std_msgs/msg/String", LATCHED)
 PHYSICS_PROGRESS = Topic("physics/progress", "diagnostic_msgs/msg/DiagnosticStatus", STREAM)
@@ -76,6 +78,8 @@ ALL_TOPICS = (
     SLED_ODOMETRY,
     PACKAGES_POSES,
     PACKAGES_MARKERS,
+    WRAP_STRAIN,
+    WRAP_MESH,
     ROBOT_DESCRIPTION,
     SCENE,
     PHYSICS_PROGRESS,

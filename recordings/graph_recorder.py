@@ -21,6 +21,7 @@ from msgs_adapters.topics import (
     SLED_ODOMETRY,
     TF,
     TWIN_NAMESPACE,
+    WRAP_STRAIN,
     Topic,
     message_class,
 )
@@ -35,6 +36,8 @@ STAMPED_TYPES = frozenset(
         "geometry_msgs/msg/AccelStamped",
         "geometry_msgs/msg/PoseArray",
         "sensor_msgs/msg/Imu",
+        "sensor_msgs/msg/PointCloud2",
+        "visualization_msgs/msg/Marker",
         "nav_msgs/msg/Odometry",
         "diagnostic_msgs/msg/DiagnosticArray",
     }
@@ -68,7 +71,7 @@ class GraphRecorder:
         self._transforms: TransformTrack | None = None
         self._frames = 0
         self._gaps: dict[str, int] = {}
-        self._rates_hz: dict[Topic, int] = {}
+        self._rates_hz: dict[Topic, float] = {}
         self._last_stamps: dict[Topic, int] = {}
         self.error: str | None = None
         self.received: dict[str, int] = {topic.name: 0 for topic in topics}
@@ -160,9 +163,9 @@ class GraphRecorder:
             )
 
 
-def regular_rates_hz(scene: Scene) -> dict[Topic, int]:
+def regular_rates_hz(scene: Scene) -> dict[Topic, float]:
     """Topics whose stamps come at a fixed rate [Hz] in a scene."""
-    rates = {
+    rates: dict[Topic, float] = {
         CLOCK: scene.sampling.poses_hz,
         SLED_ODOMETRY: scene.sampling.poses_hz,
         PACKAGES_POSES: scene.sampling.poses_hz,
@@ -170,6 +173,8 @@ def regular_rates_hz(scene: Scene) -> dict[Topic, int]:
     }
     if scene.accelerometer is not None:
         rates[SLED_ACCELEROMETER] = scene.accelerometer.rate_hz
+    if scene.film is not None:
+        rates[WRAP_STRAIN] = scene.sampling.poses_hz / scene.sampling.frames_a_film_frame
     return rates
 
 

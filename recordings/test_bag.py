@@ -8,6 +8,7 @@ from config.scene import Scene
 from msgs_adapters.pose_payloads import TransformEncoder
 from msgs_adapters.publications import (
     Publication,
+    film_publication,
     frame_publication,
     reading_publication,
     report_publication,
@@ -23,6 +24,7 @@ from msgs_adapters.topics import (
     ROBOT_DESCRIPTION,
     SCENE,
     TF,
+    WRAP_STRAIN,
     Topic,
 )
 from recordings.bag_writer import BagWriter
@@ -34,7 +36,8 @@ TRANSFORMS_HZ = 60
 
 def recorded_topics(scene: Scene) -> tuple[Topic, ...]:
     """What a bag of this scene holds, ``/tf`` aside."""
-    return (*sled_topics(scene), SCENE, ROBOT_DESCRIPTION, PACKAGES_POSES, EUMOS_STATUS, EUMOS_REPORT)
+    film = (WRAP_STRAIN,) if scene.film is not None else ()
+    return (*sled_topics(scene), SCENE, ROBOT_DESCRIPTION, PACKAGES_POSES, *film, EUMOS_STATUS, EUMOS_REPORT)
 
 
 class TransformTrack:
@@ -121,6 +124,7 @@ class TestBag:
 
     def on_film(self, frame: FilmFrame) -> None:
         """See ``TestObserver``."""
+        self._write(film_publication(frame))
 
     def on_rules(self, stamp_ns: int, rules: list[RuleState]) -> None:
         """See ``TestObserver``."""

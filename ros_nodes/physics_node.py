@@ -11,6 +11,9 @@ from msgs_adapters.cdr import serialize
 from msgs_adapters.convert import Progress, sample_from_accel, to_progress
 from msgs_adapters.publications import (
     Publication,
+    film_markers_publication,
+    film_publication,
+    film_topics,
     frame_publication,
     markers_due,
     markers_publication,
@@ -23,6 +26,8 @@ from msgs_adapters.topics import (
     ROBOT_DESCRIPTION,
     SCENE,
     SLED_ACCELERATION,
+    WRAP_MESH,
+    WRAP_STRAIN,
 )
 from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
 from ros_nodes.readers import readers_wanted
@@ -35,7 +40,8 @@ class PhysicsNode(TwinNode):
     """The physics as a node.
 
     Publishes ``packages/poses``, ``physics/progress``, the latched ``scene`` and ``robot_description``, and
-    ``packages/markers`` while somebody looks at them; subscribes to ``sled/acceleration``.
+    ``packages/markers`` while somebody looks at them, and of a wrapped load ``wrap/strain``, and ``wrap/mesh``
+    while somebody looks; subscribes to ``sled/acceleration``.
 
     A gap in the samples ends the test: a pose after it would be wrong.
     """
@@ -68,6 +74,7 @@ class PhysicsNode(TwinNode):
             PHYSICS_PROGRESS,
             SCENE,
             ROBOT_DESCRIPTION,
+            *film_topics(self._scene),
         ):
             self.open_topic(topic)
         self.listen(SLED_ACCELERATION, self._take_sample)
@@ -75,14 +82,18 @@ class PhysicsNode(TwinNode):
 
     def on_activate(self, state: LifecycleState) -> Any:
         """Sends the scene and waits for the samples."""
-        missing = self.wait_for_readers(readers_wanted(self._readers))
+        wanted = readers_wanted(self._readers)
+        # The scene tells the validator whether there is a film to listen to.
+        film = {name: wanted.pop(name) for name in [WRAP_STRAIN.name] if name in wanted}
+        missing = self.wait_for_readers(wanted)
+        if missing is None:
+            for publication in scene_publications(self._scene, 0):
+                self.send(publication)
+            missing = self.wait_for_readers(film)
         if missing is not None:
             self.get_logger().error(f"no reader for {missing}")
             return FAILURE
-        result = super().on_activate(state)
-        for publication in scene_publications(self._scene, 0):
-            self.send(publication)
-        return result
+        return super().on_activate(state)
 
     def on_end(self) -> None:
         """Frees the engine once every reader has everything."""
@@ -110,6 +121,10 @@ class PhysicsNode(TwinNode):
         if frame is not None:
             self._frames += 1
             self.send(frame_publication(frame))
+            if self._test.film_frame is not None:
+                self.send(film_publication(self._test.film_frame))
+                if self.has_readers(WRAP_MESH):
+                    self.send(film_markers_publication(self._test.film_frame, self._scene))
             if markers_due(frame, self._scene) and self.has_readers(PACKAGES_MARKERS):
                 self.send(markers_publication(frame, self._scene))
         self._over = self._test.finished

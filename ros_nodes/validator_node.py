@@ -1,13 +1,20 @@
-"""Judges the EUMOS limits live, from poses and scene alone."""
+"""Judges the EUMOS limits live, from scene, poses and film alone."""
 
 from typing import Any
 
 from config.scene import Scene
 from config.scene_file import scene_from_json
 from msgs_adapters.convert import progress_of
-from msgs_adapters.pose_payloads import pose_frame_from_payload
+from msgs_adapters.frames_in_order import FramesInOrder
 from msgs_adapters.publications import report_publication, rules_publication
-from msgs_adapters.topics import EUMOS_REPORT, EUMOS_STATUS, PACKAGES_POSES, PHYSICS_PROGRESS, SCENE
+from msgs_adapters.topics import (
+    EUMOS_REPORT,
+    EUMOS_STATUS,
+    PACKAGES_POSES,
+    PHYSICS_PROGRESS,
+    SCENE,
+    WRAP_STRAIN,
+)
 from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
 from ros_nodes.readers import readers_wanted
 from sim_core.judge import EumosJudge
@@ -19,7 +26,7 @@ class ValidatorNode(TwinNode):
     """The judge as a node.
 
     Publishes ``eumos/status`` ten times a simulated second and ``eumos/report`` at the end; subscribes to
-    ``scene``, ``packages/poses`` and ``physics/progress``.
+    ``scene``, ``packages/poses`` and ``physics/progress``, and to ``wrap/strain`` where the scene has a film.
     """
 
     def __init__(self) -> None:
@@ -29,6 +36,7 @@ class ValidatorNode(TwinNode):
         )
         self._scene: Scene | None = None
         self._judge: EumosJudge | None = None
+        self._frames: FramesInOrder | None = None
         self._early: list[bytes] = []
         self._last_ns = 0
         self._frames_at_end: int | None = None
@@ -36,7 +44,7 @@ class ValidatorNode(TwinNode):
         self._status_sent = False
 
     def set_up(self) -> bool:
-        """Opens the topics; the judge is made when the scene arrives."""
+        """Opens the topics; the judge is made when the scene arrives, and the film's topic opened."""
         self.open_topic(EUMOS_STATUS)
         self.open_topic(EUMOS_REPORT)
         self.listen(SCENE, self._take_scene)
@@ -60,23 +68,38 @@ class ValidatorNode(TwinNode):
         if self._scene is None:
             self._scene = scene_from_json(message.data)
             self._judge = EumosJudge(self._scene)
+            self._frames = FramesInOrder(self._scene)
+            if self._scene.film is not None:
+                self.listen(WRAP_STRAIN, self._take_film, raw=True)
             early, self._early = self._early, []
             for payload in early:
                 self._take_poses(payload)
 
     def _take_poses(self, payload: bytes) -> None:
-        if self._judge is None or self._scene is None:
+        if self._frames is None:
             # Two topics have no order between them: the scene may overtake its poses or not.
             self._early.append(payload)
             return
-        frame = pose_frame_from_payload(payload, self._judge.frame_count)
-        self._judge.add(frame)
-        self._last_ns = frame.stamp_ns
-        self._status_sent = status_due(frame, self._scene)
-        if self._status_sent:
-            self._send_status()
-        if self._frames_at_end == self._judge.frame_count:
-            self._send_report()
+        self._frames.add_poses(payload)
+        self._judge_what_is_there()
+
+    def _take_film(self, payload: bytes) -> None:
+        assert self._frames is not None
+        self._frames.add_film(payload)
+        self._judge_what_is_there()
+
+    def _judge_what_is_there(self) -> None:
+        assert self._judge is not None and self._scene is not None and self._frames is not None
+        for frame, film in self._frames.ready():
+            self._judge.add(frame)
+            if film is not None:
+                self._judge.add_film(film)
+            self._last_ns = frame.stamp_ns
+            self._status_sent = status_due(frame, self._scene)
+            if self._status_sent:
+                self._send_status()
+            if self._frames_at_end == self._judge.frame_count:
+                self._send_report()
 
     def _take_progress(self, message: Any) -> None:
         progress = progress_of(message)

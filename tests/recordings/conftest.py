@@ -9,11 +9,13 @@ import pytest
 from config.package import Package
 from msgs_adapters import convert, topics
 from msgs_adapters.cdr import serialize
+from msgs_adapters.film_mesh import film_mesh_payload
+from msgs_adapters.film_payloads import film_cloud_payload
 from msgs_adapters.pose_payloads import TransformEncoder, pose_array_payload
 from msgs_adapters.robot_description import robot_description
 from msgs_adapters.stamps import to_clock
 from recordings.bag_writer import BagWriter
-from sim_core.frames import AccelerometerSample, PoseFrame, RuleState, SledSample
+from sim_core.frames import AccelerometerSample, FilmFrame, PoseFrame, RuleState, SledSample
 
 EPOCH_NS = 1_700_000_000 * 10**9
 PERIOD_NS = 4_166_667
@@ -32,6 +34,23 @@ def pose_frame(index: int) -> PoseFrame:
     """The upper package slides forward by 1 mm a frame."""
     positions = np.array([[0.0, 0.0, 0.072], [0.0, 0.0, 0.269], [0.001 * index, 0.0, 0.519]])
     return PoseFrame(index, EPOCH_NS + index * PERIOD_NS, positions, np.tile([0.0, 0.0, 0.0, 1.0], (3, 1)))
+
+
+def film_frame(index: int, *, torn_s: float = -1.0) -> FilmFrame:
+    """Two elements beside the packages, stretched a little more each frame; the second one torn or not."""
+    corners = np.array(
+        [[[0.2, 0, 0], [0.2, 0.1, 0], [0.2, 0.1, 0.6]], [[0.2, 0, 0], [0.2, 0.1, 0.6], [0.2, 0, 0.6]]]
+    )
+    strains = np.full((2, 3), 0.03 + 0.001 * index)
+    values = (
+        corners,
+        corners[:, :, 1:],
+        strains,
+        strains[:, 0],
+        1.0e4 * strains[:, 0],
+        np.array([-1.0, torn_s]),
+    )
+    return FilmFrame(index, EPOCH_NS + index * PERIOD_NS, *(value.astype(np.float32) for value in values))
 
 
 def records() -> Records:
@@ -57,6 +76,8 @@ def records() -> Records:
             (topics.PACKAGES_POSES, pose_array_payload(frame)),
             (topics.TF, transforms.encode(frame, sample.position)),
             (topics.PACKAGES_MARKERS, serialize(convert.to_markers(frame, PACKAGES, PALLET_SIZE_M))),
+            (topics.WRAP_STRAIN, film_cloud_payload(film_frame(index))),
+            (topics.WRAP_MESH, film_mesh_payload(film_frame(index), 0.09)),
             (topics.PHYSICS_PROGRESS, serialize(convert.to_progress(progress))),
             (topics.DIAGNOSTICS, serialize(convert.to_diagnostics(frame.stamp_ns, []))),
             (topics.EUMOS_STATUS, serialize(convert.to_diagnostics(frame.stamp_ns, [RULE]))),
