@@ -22,6 +22,10 @@ BULGE_M = 1.0e-3
 """Corners that stand out from the line between their neighbours by less bend no film."""
 SAME_LEVEL = 0.2
 """Tops and bottoms of boxes that are nearer to each other than this share of the spacing are one level."""
+RELIEF = 0.2
+"""Rows stand so far, as a share of the spacing, from where boxes begin and end: two rows with boxes that slide on each
+other between them then tear at the film as much as rows that stand far closer do (36.9, 38.3, 33.9 and 32.0 mm of slip
+at spacings of 0.1, 0.07, 0.05 and 0.035 m with even rows; 28.9, 27.7 and 28.2 mm with these)."""
 SAME_COLUMN = 0.3
 """Corners of different rows that are nearer to each other than this share of the spacing share a column."""
 
@@ -147,10 +151,10 @@ def solid_boxes(scene: Scene) -> tuple[Array, Flags]:
 
 
 def _row_heights(corners: Array, low: float, high: float, spacing_m: float) -> Array:
-    """Heights of the rows: even between one level of boxes and the next, so that each box gets the film on its height.
+    """Heights of the rows: near to where boxes begin and end, and even between.
 
-    A row stands for the film half-way to the next rows, and these borders are where boxes end; one more row stands on
-    either edge of the film.
+    A row stands for the film half-way to the next rows, and these borders are where boxes end, so that each box gets
+    the film on its height; one more row stands on either edge of the film.
     """
     ends = np.sort(np.concatenate([corners[:, :, 2].min(axis=1), corners[:, :, 2].max(axis=1)]))
     levels = [low]
@@ -160,8 +164,9 @@ def _row_heights(corners: Array, low: float, high: float, spacing_m: float) -> A
     levels.append(high)
     rows = [low]
     for start, end in pairwise(levels):
-        count = max(1, round((end - start) / spacing_m))
-        rows += [start + (end - start) * (k + 0.5) / count for k in range(count)]
+        relief = min(RELIEF * spacing_m, 0.25 * (end - start))
+        count = max(1, round((end - start - 2.0 * relief) / spacing_m))
+        rows += np.linspace(start + relief, end - relief, count + 1).tolist()
     return np.array([*rows, high])
 
 

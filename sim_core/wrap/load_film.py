@@ -48,8 +48,8 @@ from sim_core.wrap.membrane import Flags, Indices, membrane_forces, tear_film, y
 
 DEFAULT_SPACING_M = 0.1
 STILL_M = 1.0e-7
-"""Bodies that have moved by less since the last answer get it again."""
-TOLERANCE = 1.0e-3
+"""Bodies that have moved by less since the last answer get it again, or by less than changes it by the tolerance."""
+TOLERANCE = 3.0e-3
 """Force left on a node, as a share of the pull of a row of film: the error of the answer, about."""
 LEAST_STRAIN = 1.0e-2
 """Strain whose pull the tolerance is a share of where the film was laid looser than that."""
@@ -72,13 +72,11 @@ DRAG = 1.0e-3
 """Stiffness that draws free nodes to where their edges take them, as a share of the film's own."""
 LEAST_DAMPING = 1.0e-3
 """Share of the drag that keeps a stiffness regular."""
-PATIENT_STEPS, OVERSHOOT, SEARCHES = 4, 0.6, 6
-"""Whole steps come first, since a node that passes a kink of the film's law is best served by the law beyond it. After
-so many a step is shortened where the slope behind it is more than this share of the one before it, by so many trials
-at most, and damped (Levenberg and Marquardt)."""
+OVERSHOOT, SEARCHES = 0.6, 6
+"""A step is shortened where the slope behind it is more than this share of the one before it, by so many trials."""
 SLOW, STIFFER, SOFTER, MOST_DAMPING = 0.7, 5.0, 0.3, 500.0
-"""Steps that leave more than this share of the excess raise the damping, others lower it, from the drag to so many
-times the drag."""
+"""Steps that leave more than this share of the excess raise the damping (Levenberg and Marquardt), others lower it,
+from the drag to so many times the drag."""
 
 State = tuple[Any, ...]
 
@@ -103,6 +101,7 @@ class LoadFilm:
         unrolled: the elements' corners on the film unrolled as it was laid, see
             :class:`~sim_core.frames.FilmFrame`, shape [m, 3, 2].
         residual_n: largest force that the last answer left unbalanced [N].
+        answers: how often the film was brought to rest since it was laid.
         steps_taken: Newton steps since the film was laid.
         tangents_made: tangents factorised since the film was laid.
     """
@@ -152,8 +151,10 @@ class LoadFilm:
         self._last_positions = positions.copy()
         self._last_orientations = orientations.copy()
         self._forces, self._torques = np.zeros_like(positions), np.zeros_like(positions)
+        self._still_m, self.answers, self._committed = STILL_M, 0, 0
         self.wrenches(positions, orientations)
         self._held_stiffness = self._stiffness_on_bodies(len(positions))
+        self._still_m = max(STILL_M, self._tolerance_n / float(self._held_stiffness.max(initial=1.0)))
 
     def _start_kinds(self, triangles: Indices) -> None:
         """Sets what each node is at first, and makes the arrays that the kernels write to."""
@@ -269,9 +270,10 @@ class LoadFilm:
         before, turned_before = self._last_positions, self._last_orientations
         turned = 2.0 * np.abs(orientations - turned_before).max(axis=1) * self._reaches
         moved = float((np.abs(positions - before).max(axis=1) + turned).max())
-        if (moved <= STILL_M and not self._is_changed) or not math.isfinite(moved):
+        if (moved <= self._still_m and not self._is_changed) or not math.isfinite(moved):
             return self._forces, self._torques
         self._is_changed = False
+        self.answers += 1
         kept = self.state()
         parts = min(max(1, math.ceil(moved / self._longest_move_m)), MOST_PARTS)
         for attempt in range(1 + RETRIES):
@@ -319,7 +321,7 @@ class LoadFilm:
         rounds, aged = 0, 0
         before, damping = np.inf, self._drag
         self._evaluate()
-        for step in range(MOST_STEPS):
+        for _ in range(MOST_STEPS):
             excess = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
             if excess <= self._tolerance_n:
                 rounds += 1
@@ -333,15 +335,13 @@ class LoadFilm:
             # An old tangent is kept as long as it promises to be done before a new one would be made.
             if aged > 0 and not excess * (excess / before) ** WORTH_STEPS <= self._tolerance_n:
                 self._factor = None
-            is_careful = step >= PATIENT_STEPS
-            if is_careful:
-                factor = STIFFER if excess > SLOW * before else SOFTER
-                damping = min(max(factor * damping, self._drag), MOST_DAMPING * self._drag)
+            factor = STIFFER if excess > SLOW * before else SOFTER
+            damping = min(max(factor * damping, self._drag), MOST_DAMPING * self._drag)
             before = excess
             if self._factor is None:
                 self._factor, aged = self._tangent(damping), 0
             aged += 1
-            if not self._step(self._factor, positions, turns, is_careful=is_careful):
+            if not self._step(self._factor, positions, turns):
                 self._factor, damping = None, STIFFER * damping
         self.residual_n = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
 
@@ -365,7 +365,7 @@ class LoadFilm:
             self.nodes, self._anchors, self._drag, self._pushes, self._limits,
         )  # fmt: skip
 
-    def _step(self, factor: Factor, positions: Array, turns: Array, *, is_careful: bool) -> bool:
+    def _step(self, factor: Factor, positions: Array, turns: Array) -> bool:
         """One Newton step of nodes, slips and flows; False where the film gives way, and nothing was done."""
         numbering, border = self._numbering, self._border_nodes
         inner, outer = np.empty(numbering.band_count), np.empty(numbering.border_count)
@@ -392,7 +392,7 @@ class LoadFilm:
         downhill = slope_along(self._kinds, self._pushes, self._limits, self._slips, self._steps)
         self._move(1.0, positions, turns)
         at, low, high = 1.0, (0.0, downhill), (1.0, 0.0)
-        for _ in range(SEARCHES if is_careful else 0):
+        for _ in range(SEARCHES):
             slope = slope_along(self._kinds, self._pushes, self._limits, self._slips, self._steps)
             if abs(slope) <= OVERSHOOT * downhill or (at == 1.0 and slope > 0.0):
                 break
@@ -473,6 +473,9 @@ class LoadFilm:
         """Lets overloaded film flow and tear, once a step; gives the elastic energy that it lost [J]."""
         film = self.film
         lost = 0.0
+        if self.answers == self._committed:
+            return lost
+        self._committed = self.answers
         if np.isfinite(self._yield_force).any():
             flowed, count = yield_film(self.nodes, *film.elements, self._yield_force, self._hardening)
             lost += flowed

@@ -59,6 +59,7 @@ class FilmWatch:
         self._forces: Array = np.zeros((count, 2))
         self._peaks: Array = np.zeros(count)
         self._torn_s: Array = np.full(count, -1.0)
+        self._seen = -1
         self.summary = FilmSummary(len(film.nodes), count)
         self.take(0.0, 0.0)
         self.summary.start_force_npm = self.summary.peak_force_npm
@@ -71,6 +72,10 @@ class FilmWatch:
             lost_j: energy that it has lost since the last look [J].
         """
         load_film, elements, kept = self._film, self._film.film, self.summary
+        kept.lost_j += lost_j
+        if load_film.answers == self._seen and lost_j == 0.0:
+            return
+        self._seen = load_film.answers
         membrane_state(
             load_film.nodes, elements.triangles, elements.inverse_reference, elements.stiffness, elements.set_strain,
             elements.torn, self._strains, self._forces,
@@ -90,7 +95,6 @@ class FilmWatch:
                 kept.first_tear_time_s, kept.first_tear_position_m = time_s, self._middle(first)
             kept.torn = int(elements.torn.sum())
         kept.peak_force_npm = max(kept.peak_force_npm, float(self._forces.max(initial=0.0)))
-        kept.lost_j += lost_j
         kept.residual = max(kept.residual, load_film.residual)
 
     def frame(self, index: int, stamp_ns: int) -> FilmFrame:
