@@ -17,6 +17,8 @@ from config.scene import Scene
 from ros_nodes.one_test import OnProgress, TestOutcome
 from sim_core.integrity import Finding
 from sim_core.report import Report, report_json
+from sim_core.report_film import percent
+from sim_core.report_words import tore_film, turns_words
 
 if TYPE_CHECKING:
     from sim_core.stress import StressResult
@@ -140,7 +142,7 @@ def show_rules(report: Report) -> None:
             rule["rule"].replace("_", " "),
             *(_number(rule[key], ".1f") for key in ("worst_mm", "error_mm", "limit_mm")),
             Text(rule["state"], style=_STYLES[rule["state"]]),
-            Text(_where(rule)),
+            Text(_where(report, rule)),
         )
     console.print(table)
     if report["packages"]:
@@ -152,6 +154,8 @@ def show_rules(report: Report) -> None:
                 f" tilt {worst['final_tilt_deg']:.1f} deg"
             )
         )
+    for line in film_lines(report):
+        print(line)
 
 
 def show_check(findings: Sequence[Finding], facts: Mapping[str, Any], *, as_json: bool) -> None:
@@ -207,9 +211,44 @@ def _show_cross_check(check: Mapping[str, Any]) -> None:
     print(f"cross-check: {check['engine']} {'agrees' if check['agrees'] else 'DISAGREES'}: {worst}")
 
 
-def _where(rule: Mapping[str, Any]) -> str:
+def film_lines(report: Report) -> list[str]:
+    """How the film of a wrapped load fared; no line where there is none.
+
+    Args:
+        report: a full report, or a judgement alone, which has less to say.
+    """
+    film, wrap = report.get("film"), report.get("wrap")
+    if wrap is None:
+        if film is None or not film["peak_strain"]:
+            return []
+        torn = sum(time_s >= 0.0 for time_s in film["torn_s"])
+        fate = f"{torn} of {len(film['torn_s'])} elements torn" if torn else "not torn"
+        return [f"film: largest strain {percent(max(film['peak_strain']))}; {fate}"]
+    limits = f"breaks at {percent(wrap['break_strain'])}"
+    if wrap.get("yield_strain") is not None:
+        limits = f"yields at {percent(wrap['yield_strain'])}, {limits}"
+    fate = "not torn"
+    if wrap["torn"]:
+        fate = f"{wrap['torn']} of {wrap['elements']} elements torn, first {_film_place(wrap, 'first_tear')}"
+    held = ", which follows and does not hold" if wrap["coupling"] == "one_way" else ""
+    return [
+        f"film {wrap['material']}, {turns_words(wrap['turns'])}{held}: largest strain {percent(wrap['peak_strain'])}"
+        f" ({limits}), {_film_place(wrap, 'peak')}; {fate}",
+        f"film pulls {wrap['start_force_npm']:.0f} N/m when settled and {wrap['peak_force_npm']:.0f} N/m at most;"
+        f" lost {wrap['lost_j']:.3g} J",
+    ]
+
+
+def _film_place(wrap: Mapping[str, Any], what: str) -> str:
+    x, y, z = wrap[f"{what}_position_m"]
+    return f"x {x:.2f} y {y:.2f} z {z:.2f} m at {wrap[f'{what}_time_s']:.2f} s"
+
+
+def _where(report: Report, rule: Mapping[str, Any]) -> str:
     if rule["package"] is None:
         return "-"
+    if tore_film(report, rule):
+        return f"film torn, {rule['height_m']:.2f} m high, first at {rule['time_s']:.2f} s"
     return f"{rule['package']}, {rule['height_m']:.2f} m high, at {rule['time_s']:.2f} s"
 
 

@@ -1,6 +1,7 @@
 """The report: one dictionary that says what was tested, what came out, how sure it is and what it cost."""
 
 import json
+import math
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -92,11 +93,15 @@ def full_report(
     )
     report["numerics"] |= {"setting_chosen": why, "refinements": list(refinements)}
     if physics.film is not None and scene.film is not None and scene.wrap is not None:
+        around = scene.film.around
         report["wrap"] = {
             "material": scene.film.material,
             "turns": scene.wrap.model_dump(mode="json")["turns"],
             "coupling": scene.wrap.coupling,
-            "break_strain": scene.film.around.break_strain,
+            "yield_strain": None
+            if math.isinf(around.yield_force_npm)
+            else around.yield_force_npm / around.stiffness_npm,
+            "break_strain": around.break_strain,
             **physics.film,
         }
     report["integrity"] = [asdict(finding) for finding in findings]

@@ -1,7 +1,6 @@
 """The report as one HTML page that stands on its own: read at a glance, printed for a customer's file."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +8,20 @@ from config.scene import EumosSled, Scene, StandardPallet, direction_vector
 from config.scene_file import friction_table
 from sim_core.frames import GRAVITY
 from sim_core.report_figures import Report, time_figure, travel_direction
+from sim_core.report_film import film_figure, film_map
 from sim_core.report_style import STYLE
 from sim_core.report_views import posed_loads, views_figure
 from sim_core.report_words import (
     corner_words,
     figure_text,
+    film_facts,
+    film_sentences,
     limit_share,
     rule_figures,
     safe_text,
+    tore_film,
     verdict_sentence,
+    wrap_words,
 )
 
 SHOWN_PACKAGES = 10
@@ -31,9 +35,17 @@ _RULE_NUMBERS = {"permanent": "i", "permanent_on_pallet": "ii", "elastic": "iii"
 _MODEL_LIMITS = (
     "Packages are rigid boxes: they slide, tilt and fall, but are not crushed, bent or torn.",
     "One Coulomb friction for each pair of surfaces, the same at rest and in motion, whatever the speed.",
-    "“Damage” means a package that toppled by more than 45° or fell from its place; torn film, crushed"
-    " edges and leaking contents are for an inspection of the real load.",
     "Displacement is that of a package's corner relative to the sled, from the settled load on.",
+)
+_BARE_LIMITS = (
+    "“Damage” means a package that toppled by more than 45° or fell from its place; crushed edges and leaking"
+    " contents are for an inspection of the real load.",
+)
+_WRAPPED_LIMITS = (
+    "“Damage” means a package that toppled by more than 45° or fell from its place, or film that tore; crushed"
+    " edges and leaking contents are for an inspection of the real load.",
+    "The film has no mass, clings to nothing, rubs only on the edges that bent it when it was laid, and is not"
+    " folded over the top. It tears an element of its mesh at a time, so a hole is as fine as the mesh.",
 )
 
 
@@ -67,11 +79,12 @@ def report_html(report: Report, scene: Scene) -> str:
         _test_data(report, scene),
         _rules(report, scene),
         _views(report, scene),
+        _film(report, scene),
         _over_time(report, scene),
         _packages(report),
         _numerics(report),
         _integrity(report),
-        _provenance(report),
+        _provenance(report, scene),
     ]
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
@@ -149,7 +162,7 @@ def _test_data(report: Report, scene: Scene) -> str:
     ]
     shown = ", ".join(friction[:8]) + (f" and {len(friction) - 8} more pairs" if len(friction) > 8 else "")
     fields = scene.force_fields
-    wrap = _wrap_words(report.get("wrap"))
+    wrap = wrap_words(scene)
     if fields is not None:
         spread, distance = f"σ = {fields.height_spread_m:g} m", f"d = {fields.distance_m:g} m"
         film = "" if wrap == "none" else f"; {wrap}"
@@ -167,7 +180,7 @@ def _rules(report: Report, scene: Scene) -> str:
     if not report["rules"]:
         words = "No rule was judged: the test ended before its first frame."
         return f"<section><h2>The rules</h2><p>{words}</p></section>"
-    rows = []
+    rows, torn = [], any(tore_film(report, rule) for rule in report["rules"])
     for rule in report["rules"]:
         worst, limit, margin = rule_figures(rule)
         share = limit_share(rule)
@@ -195,6 +208,7 @@ def _rules(report: Report, scene: Scene) -> str:
             f"<td class=n>{figure_text(rule['time_s'], 2)}</td>"
             f"<td class=n>{figure_text(rule['height_m'], 3)}</td></tr>"
         )
+    tear = " That of torn film is where it first tore, as laid." if torn else ""
     heads = (
         "state",
         "rule",
@@ -212,7 +226,7 @@ def _rules(report: Report, scene: Scene) -> str:
         + _table(heads, rows, numeric=(2, 3, 4, 8, 9))
         + '<p class="small">Front is towards the travel, left and right as seen from behind. Worst values'
         " stand with their error estimate where one was made. Height is"
-        " that of the corner above the sled when settled.</p></section>"
+        f" that of the corner above the sled when settled.{tear}</p></section>"
     )
 
 
@@ -231,6 +245,7 @@ def _views(report: Report, scene: Scene) -> str:
         )
     shown = "Load unit from the side and from above at the worst moment and at the end."
     drawing = views_figure(report, scene, safe_text(f"{shown} {' '.join(said)}"))
+    film = "" if scene.film is None else " The film is not drawn here."
     outside = ""
     if drawing.outside_count:
         count = drawing.outside_count
@@ -241,7 +256,25 @@ def _views(report: Report, scene: Scene) -> str:
         + f"<figcaption>{safe_text(' '.join(said))} {safe_text(outside)} The figure on a package is the"
         " displacement of its farthest corner [mm]; brighter is farther. Thin dashes: the settled load. Ring"
         " and cross: the farthest corner, with its way from the settled place. Seen with the travel to the"
-        " right.</figcaption></figure></section>"
+        f" right.{film}</figcaption></figure></section>"
+    )
+
+
+def _film(report: Report, scene: Scene) -> str:
+    film = film_map(report)
+    if film is None or scene.film is None:
+        return ""
+    sentences = film_sentences(report, scene, film)
+    label = f"The film cut open and laid flat, coloured by its largest strain. {sentences}"
+    holes = " Hatched: torn, with a triangle where it tore first." if film.first_torn is not None else ""
+    return (
+        f'<section class="film"><h2>The film</h2>\n<p>{safe_text(sentences)}</p>\n<figure>'
+        + film_figure(report, scene, film, safe_text(label))
+        + "<figcaption>The film cut open along its first column and laid flat, as it was laid, seen from outside."
+        " Colour: each element's largest strain in any direction, from the film without tension. Ring and cross:"
+        f" the largest of all.{holes} White lines: the packages and the pallet behind it.</figcaption></figure>\n"
+        + _facts(film_facts(report, scene, film))
+        + "</section>"
     )
 
 
@@ -294,18 +327,6 @@ def _packages(report: Report) -> str:
         f"<section><h2>{heading}</h2>\n{_table(heads, rows[:SHOWN_PACKAGES], numeric=numeric)}{rest}"
         '<p class="small">Peak: farthest corner until the end. Permanent: farthest corner at the end. Δ:'
         " displacement of the centre at the end in the sled's axes, x forward, y left, z up.</p></section>"
-    )
-
-
-def _wrap_words(wrap: Mapping[str, Any] | None) -> str:
-    if wrap is None:
-        return "none"
-    x, y, z = wrap["peak_position_m"]
-    return (
-        f"{wrap['material'].replace('_', ' ')}, turns {wrap['turns']}, {wrap['coupling'].replace('_', '-')}; pulls with"
-        f" {wrap['start_force_npm']:.0f} N/m at the start and {wrap['peak_force_npm']:.0f} N/m at most; largest strain"
-        f" {100.0 * wrap['peak_strain']:.1f} % at x {x:.2f} y {y:.2f} z {z:.2f} m after {wrap['peak_time_s']:.2f} s,"
-        f" of {100.0 * wrap['break_strain']:.0f} % at which it tears"
     )
 
 
@@ -376,7 +397,7 @@ def _integrity(report: Report) -> str:
     return f"<section><h2>Check of the load before the test</h2>\n{body}</section>"
 
 
-def _provenance(report: Report) -> str:
+def _provenance(report: Report, scene: Scene) -> str:
     facts = [("Scene, SHA-256", report["scene_sha256"])]
     source = report["load"]["source"]
     if source is not None:
@@ -385,7 +406,8 @@ def _provenance(report: Report) -> str:
     versions = report.get("versions", {})
     if versions:
         facts.append(("Versions", ", ".join(f"{name} {number}" for name, number in versions.items())))
-    limits = "".join(f"<li>{safe_text(line)}</li>" for line in _MODEL_LIMITS)
+    more = _BARE_LIMITS if scene.film is None else _WRAPPED_LIMITS
+    limits = "".join(f"<li>{safe_text(line)}</li>" for line in _MODEL_LIMITS + more)
     return (
         f"<section><h2>What the model does not show</h2><ul>{limits}</ul></section>\n"
         f'<footer><h2>Where it comes from</h2>\n{_facts(facts)}<p class="small">Result of a simulation, not a'

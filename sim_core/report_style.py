@@ -59,7 +59,7 @@ td{max-width:320px}
 .bar{display:inline-block;width:44px;height:9px;border:1px solid var(--faint);vertical-align:middle}
 .bar span{display:block;height:100%;background:var(--open)}.bar.pass span{background:var(--good)}
 .bar.fail span{background:var(--bad)}
-figure{margin:0}
+figure{margin:0}.film dl{margin-top:14px}
 svg{display:block;width:100%;height:auto}
 svg *{stroke-linejoin:round;stroke-linecap:butt}
 svg text{font-family:"DejaVu Sans",Verdana,"Segoe UI",Arial,sans-serif}

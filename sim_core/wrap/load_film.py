@@ -51,6 +51,8 @@ STILL_M = 1.0e-7
 """Bodies that have moved by less since the last answer get it again, or by less than changes it by the tolerance."""
 TOLERANCE = 3.0e-3
 """Force left on a node, as a share of the pull of a row of film: the error of the answer, about."""
+FOLLOWS, LOOSEST = 0.05, 0.03
+"""While boxes move the force may be off by this share of what the move changes it by, up to so much of a row's pull."""
 LEAST_STRAIN = 1.0e-2
 """Strain whose pull the tolerance is a share of where the film was laid looser than that."""
 PENETRATION_M = 2.0e-7
@@ -59,11 +61,11 @@ CATCH_M = 5.0e-3
 """A node that was let go and meets its box nearer to the edge than this is on the edge again."""
 LONGEST_MOVE = 0.1
 """Bodies that have moved by more than this share of the spacing are followed in parts of the way."""
-RETRIES, FINER, MOST_PARTS = 2, 4, 64
+RETRIES, FINER, MOST_PARTS = 1, 4, 64
 """How often a move that found no rest is tried again, in so many times the parts, and the most parts of all."""
 NEARLY = 3.0
 """A residual of so many times the tolerance is not worth another try."""
-MOST_STEPS, CONTACT_ROUNDS = 40, 5
+MOST_STEPS, CONTACT_ROUNDS = 15, 5
 WORTH_STEPS = 4
 """Newton steps with an old tangent that cost as much as a new tangent."""
 LONGEST_STEP, WILD_STEPS = 0.3, 100.0
@@ -101,6 +103,7 @@ class LoadFilm:
         unrolled: the elements' corners on the film unrolled as it was laid, see
             :class:`~sim_core.frames.FilmFrame`, shape [m, 3, 2].
         residual_n: largest force that the last answer left unbalanced [N].
+        is_gone: whether it was let go.
         answers: how often the film was brought to rest since it was laid.
         steps_taken: Newton steps since the film was laid.
         tangents_made: tangents factorised since the film was laid.
@@ -151,10 +154,11 @@ class LoadFilm:
         self._last_positions = positions.copy()
         self._last_orientations = orientations.copy()
         self._forces, self._torques = np.zeros_like(positions), np.zeros_like(positions)
-        self._still_m, self.answers, self._committed = STILL_M, 0, 0
+        self._still_m, self._hardest, self.answers, self._committed = STILL_M, 0.0, 0, 0
         self.wrenches(positions, orientations)
         self._held_stiffness = self._stiffness_on_bodies(len(positions))
-        self._still_m = max(STILL_M, self._tolerance_n / float(self._held_stiffness.max(initial=1.0)))
+        self._hardest = float(self._held_stiffness.max(initial=1.0))
+        self._still_m = max(STILL_M, self._tolerance_n / self._hardest)
 
     def _start_kinds(self, triangles: Indices) -> None:
         """Sets what each node is at first, and makes the arrays that the kernels write to."""
@@ -174,7 +178,7 @@ class LoadFilm:
         self._met_bodies, self._met_normals = np.full(n, -1, dtype=np.int64), np.zeros((n, 3))
         self._factor: Factor | None = None
         self.residual_n, self.steps_taken, self.tangents_made = 0.0, 0, 0
-        self._is_changed = True
+        self._is_changed, self.is_gone = True, False
 
     def _frictions_of(self, scene: Scene, layer: FilmProperties) -> Array:
         """Friction of the film on the box whose edge each node is on, shape [n]."""
@@ -206,7 +210,7 @@ class LoadFilm:
         self._break_strain = np.tile([layer.around.break_strain, layer.up.break_strain], (len(layers), 1))
         pull = max(layer.strain, LEAST_STRAIN) * layer.around.stiffness_npm * layers.max()
         self._row_pull_n = pull * spacing
-        self._tolerance_n = tolerance * self._row_pull_n
+        self._tolerance_n = self._goal_n = tolerance * self._row_pull_n
         self._longest_m, self._longest_move_m = LONGEST_STEP * spacing, LONGEST_MOVE * spacing
         self._drag = DRAG * self.film.scale()[0]
         on_border = self._is_edge.copy()
@@ -270,11 +274,14 @@ class LoadFilm:
         before, turned_before = self._last_positions, self._last_orientations
         turned = 2.0 * np.abs(orientations - turned_before).max(axis=1) * self._reaches
         moved = float((np.abs(positions - before).max(axis=1) + turned).max())
-        if (moved <= self._still_m and not self._is_changed) or not math.isfinite(moved):
+        if self.is_gone or (moved <= self._still_m and not self._is_changed) or not math.isfinite(moved):
             return self._forces, self._torques
         self._is_changed = False
         self.answers += 1
         kept = self.state()
+        self._goal_n = min(
+            max(self._tolerance_n, FOLLOWS * moved * self._hardest), LOOSEST * self._row_pull_n
+        )
         parts = min(max(1, math.ceil(moved / self._longest_move_m)), MOST_PARTS)
         for attempt in range(1 + RETRIES):
             if attempt > 0:
@@ -286,7 +293,7 @@ class LoadFilm:
                 share = part / parts
                 turns = rotation_matrices(_between(turned_before, orientations, share))
                 self._follow(before + share * (positions - before) if part < parts else positions, turns)
-            if self.residual_n <= NEARLY * self._tolerance_n:
+            if self.residual_n <= NEARLY * self._goal_n:
                 break
         self._last_positions, self._last_orientations = positions.copy(), orientations.copy()
         forces, torques = np.empty_like(positions), np.empty_like(positions)
@@ -323,7 +330,7 @@ class LoadFilm:
         self._evaluate()
         for _ in range(MOST_STEPS):
             excess = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
-            if excess <= self._tolerance_n:
+            if excess <= self._goal_n:
                 rounds += 1
                 if rounds > CONTACT_ROUNDS or not self._change_contacts(
                     positions, turns, may_release=rounds < CONTACT_ROUNDS
@@ -333,7 +340,7 @@ class LoadFilm:
                 self._evaluate()
                 continue
             # An old tangent is kept as long as it promises to be done before a new one would be made.
-            if aged > 0 and not excess * (excess / before) ** WORTH_STEPS <= self._tolerance_n:
+            if aged > 0 and not excess * (excess / before) ** WORTH_STEPS <= self._goal_n:
                 self._factor = None
             factor = STIFFER if excess > SLOW * before else SOFTER
             damping = min(max(factor * damping, self._drag), MOST_DAMPING * self._drag)
@@ -379,7 +386,7 @@ class LoadFilm:
         flat, moves = states.ravel(), np.empty(numbering.border_count)
         moved = self._moved[border].ravel()
         limits = self._limits[border].ravel()
-        slip_step(factor.core, outer, limits, moved, flat, moves, self._tolerance_n)
+        slip_step(factor.core, outer, limits, moved, flat, moves, self._goal_n)
         expand(numbering.places, moves, factor.band, factor.arms, factor.reaches, inner, self._steps)
         longest = float(np.abs(self._steps).max())
         if not longest <= WILD_STEPS * self._longest_m:
@@ -428,10 +435,10 @@ class LoadFilm:
             pull = (
                 np.einsum("nk,nkj->nj", forces[edges], turns[self._owners[edges]])[:, :2] * self._signs[edges]
             )
-            off = edges[(pull >= 0.0).all(axis=1) & (pull.max(axis=1) > self._tolerance_n)]
+            off = edges[(pull >= 0.0).all(axis=1) & (pull.max(axis=1) > self._goal_n)]
             faces = np.flatnonzero(self._kinds == FACE)
             outward = np.einsum("nk,nk->n", forces[faces], self._normals[faces])
-            off = np.concatenate([off, faces[outward > self._tolerance_n]])
+            off = np.concatenate([off, faces[outward > self._goal_n]])
         else:
             off = np.array([], dtype=np.int64)
         find_faces(
@@ -494,6 +501,11 @@ class LoadFilm:
         self._slips[self._kinds == IDLE] = STUCK
         self._factor, self._is_changed = None, True
 
+    def let_go(self) -> None:
+        """Holds nothing from now on: what it would do to a load that has fallen is not followed."""
+        self.is_gone = True
+        self._forces, self._torques = np.zeros_like(self._forces), np.zeros_like(self._torques)
+
     _KEPT: Sequence[str] = (
         "nodes", "_reference", "_along", "_kinds", "_holders", "_normals", "_axes", "_slips", "_yield_force",
         "_last_positions", "_last_orientations", "_forces", "_torques",
@@ -504,11 +516,11 @@ class LoadFilm:
         """All that the film remembers; :meth:`restore` takes it back to the bit."""
         own = tuple(getattr(self, name).copy() for name in self._KEPT)
         elements = tuple(getattr(self.film, name).copy() for name in self._KEPT_ELEMENTS)
-        return own, elements, (self._factor, self._is_changed, self.residual_n)
+        return own, elements, (self._factor, self._is_changed, self.is_gone, self.residual_n)
 
     def restore(self, state: State) -> None:
         """Takes the film back to a state that :meth:`state` gave."""
-        own, elements, (self._factor, self._is_changed, self.residual_n) = state
+        own, elements, (self._factor, self._is_changed, self.is_gone, self.residual_n) = state
         self.nodes[:] = own[0]
         for name, value in zip(self._KEPT[1:], own[1:], strict=True):
             setattr(self, name, value.copy())
