@@ -111,7 +111,7 @@ class Wrap(Part):
         ge=0.0,
         le=2.0,
         strict=True,
-        description="how far it is folded over the top of the load [m]",
+        description="how far it is folded over the top of the load [m]; the fold holds nothing down",
     )
     coupling: Literal["two_way", "one_way"] = Field(
         default="two_way",

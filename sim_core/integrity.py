@@ -383,6 +383,12 @@ def _wrap_edges(scene: Scene, wrap: Wrap, packages: list[Package]) -> Iterator[F
     elif wrap.pallet_overlap_m > deck:
         limit = f"the pallet is {deck:g} m high: the film ends at the sled"
         yield Finding("note", "wrap", "wrap.pallet_overlap_m", f"{wrap.pallet_overlap_m:g} m", limit)
+    if wrap.top_overlap_m > 0.0:
+        limit = "the fold over the top isn't simulated: it holds nothing down"
+        yield Finding("warning", "wrap", "wrap.top_overlap_m", f"{wrap.top_overlap_m:g} m", limit)
+    if scene.film is not None and scene.film.tension_npm == 0.0:
+        limit = "no pull is left: the film holds only what has moved"
+        yield Finding("warning", "wrap", "wrap.relaxation", "all of the wrap force", limit)
     heights = lower + (upper - lower) * (np.arange(200) + 0.5) / 200.0
     bare = [z for z in heights.tolist() if layers_at(wrap, upper - lower, z - lower) == 0.0]
     if bare:

@@ -16,7 +16,7 @@ from sim_core.frames import Array, FilmFrame, PoseFrame, SledSample
 from sim_core.geometry import rotation_matrices, turned_by_half_step
 from sim_core.impacts import ImpactWatch
 from sim_core.integrity import supports
-from sim_core.monitors import Breach, Extremes, Monitors
+from sim_core.monitors import MAXIMUM_STEP_PHASE, Breach, Extremes, Monitors
 from sim_core.sled import build_profile, sled_samples, stop_sample
 
 if TYPE_CHECKING:
@@ -31,6 +31,8 @@ REST_FOR_S, REST_WITHIN_M, REST_LIMIT_S = 0.25, 5.0e-4, 3.0
 CONTACT_CHECK_HZ = 30
 SNAPSHOT_HZ = 10
 MAXIMUM_HALVINGS = 3
+MOST_FILM_HALVINGS = 6
+"""How often a film's stiffness may halve the scene's step before anything moves."""
 IMPACT_LOOKOUT_S = 1.0 / 240.0
 """How often blows are looked for, and how far ahead."""
 
@@ -76,6 +78,7 @@ class LoadTest:
         RefusedInput: the profile cannot be built.
 
     Attributes:
+        film_halvings: how often the scene's step was halved for the film's stiffness.
         film_frame: the film at the pose frame that was given out last, where one is due with it.
     """
 
@@ -125,6 +128,9 @@ class LoadTest:
         self._film_watch: FilmWatch | None = None
         self._film_then: State = ()
         self.film_frame: FilmFrame | None = None
+        self.film_halvings = 0
+        # A coarse run, at twice the step, is to stay at twice the step.
+        self._film_phase_limit = MAXIMUM_STEP_PHASE * (1.0 if with_residual_monitor else 2.0)
         self._film_holds = scene.wrap is not None and scene.wrap.coupling == "two_way"
         # What doesn't move, or has no body, has no frequency.
         masses = [package.mass_kg if package.kind == "package" else np.inf for package in scene.packages]
@@ -143,7 +149,9 @@ class LoadTest:
     @property
     def film_summary(self) -> dict[str, object] | None:
         """What the film went through, or None without one, or before the load had settled."""
-        return asdict(self._film_watch.summary) if self._film_watch is not None else None
+        if self._film_watch is None:
+            return None
+        return asdict(self._film_watch.summary) | {"step_divisor": 2**self.film_halvings}
 
     @property
     def smallest_step_s(self) -> float:
@@ -225,6 +233,8 @@ class LoadTest:
 
             tolerance = TOLERANCE if self._film_tolerance is None else self._film_tolerance
             self._film = LoadFilm(self.scene, *self.engine.poses(), tolerance=tolerance)
+            if self._film_holds:
+                self._fit_step_to_film(self._film)
             self.settle_s += self._come_to_rest()
             self._film_watch = FilmWatch(self._film)
         self._monitors.contacts(self.engine.contacts(), self.engine.residual())
@@ -233,6 +243,21 @@ class LoadTest:
         frame = self._frame(stamp_ns)
         self._show_film(frame)
         return frame
+
+    def _fit_step_to_film(self, film: "LoadFilm") -> None:
+        """Halves the step until it is small enough for the film, whose forces are those of the step before.
+
+        Raises:
+            EndedByMonitor: no step that is worth taking is small enough.
+        """
+        frequency = film.stiffest_frequency(self._masses)
+        while self._step_s * frequency > self._film_phase_limit:
+            if self.film_halvings == MOST_FILM_HALVINGS:
+                breach = self._monitors.stiffness(self._step_s, frequency, limit=self._film_phase_limit)
+                assert breach is not None
+                raise EndedByMonitor(breach.monitor, breach.reason, 0.0)
+            self.film_halvings += 1
+            self._set_step(self._step_s / 2.0, self._split)
 
     def _come_to_rest(self) -> float:
         """Steps on the standing sled until nothing moves, and says how long that took [s]."""
@@ -282,7 +307,7 @@ class LoadTest:
         for start in range(0, len(groups), self._groups_a_lookout):
             ahead = groups[start : start + self._groups_a_lookout]
             self._split_before_impacts(len(ahead) * size / self.scene.sampling.samples_hz)
-            steps = self._steps_a_group * 2 ** len(self.halvings) * self._split
+            steps = self._steps_a_group * 2 ** (self.film_halvings + len(self.halvings)) * self._split
             for change in ahead:
                 for _ in range(steps):
                     self._step(change / steps)
@@ -308,7 +333,8 @@ class LoadTest:
             frequency = self._fields.stiffest_frequency(positions, orientations)
             breach = self._monitors.stiffness(self._step_s, frequency)
         if breach is None and self._film is not None and self._film_holds:
-            breach = self._monitors.stiffness(self._step_s, self._film.stiffest_frequency(self._masses))
+            frequency = self._film.stiffest_frequency(self._masses)
+            breach = self._monitors.stiffness(self._step_s, frequency, limit=self._film_phase_limit)
         if breach is None and self._frame_count % self._frames_a_check == 0:
             breach = self._watch_contacts(positions, orientations)
         if breach is None:

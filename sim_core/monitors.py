@@ -144,15 +144,17 @@ class Monitors:
             )
         return None
 
-    def stiffness(self, step_s: float, frequency: float) -> Breach | None:
-        """The step against the stiffest spring at work [rad/s]."""
+    def stiffness(
+        self, step_s: float, frequency: float, *, limit: float = MAXIMUM_STEP_PHASE
+    ) -> Breach | None:
+        """The step against the stiffest spring at work [rad/s]; a coarse run may have a wider limit."""
         phase = step_s * frequency
         self.extremes.step_phase = max(self.extremes.step_phase, phase)
-        if phase > MAXIMUM_STEP_PHASE:
+        if phase > limit:
             return Breach(
                 "stiffness",
                 f"the step of {1000.0 * step_s:.3g} ms is {phase:.3g} of the stiffest spring's phase,"
-                f" limit {MAXIMUM_STEP_PHASE}: at most {1000.0 * MAXIMUM_STEP_PHASE / frequency:.3g} ms would do",
+                f" limit {limit}: at most {1000.0 * limit / frequency:.3g} ms would do",
             )
         return None
 

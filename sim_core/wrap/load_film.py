@@ -264,8 +264,9 @@ class LoadFilm:
     def wrenches(self, positions: Array, orientations: Array) -> tuple[Array, Array]:
         """The film's forces [N] and torques about the centres [N m] on the bodies, each [package_count + 1, 3].
 
-        They sum to nothing. Where no body has moved by more than 1e-7 m, or poses aren't finite, they are the last
-        ones. Read-only.
+        They sum to nothing. Where no body has moved by more than shows, or poses aren't finite, they are the last
+        ones. After a long move they are only as exact as that asks for; at the same place again they are exact.
+        Read-only.
 
         Args:
             positions: centres [m], shape [package_count + 1, 3].
@@ -295,6 +296,8 @@ class LoadFilm:
                 self._follow(before + share * (positions - before) if part < parts else positions, turns)
             if self.residual_n <= NEARLY * self._goal_n:
                 break
+        # What a fast load left loose is made exact once it rests.
+        self._is_changed = self._goal_n > self._tolerance_n
         self._last_positions, self._last_orientations = positions.copy(), orientations.copy()
         forces, torques = np.empty_like(positions), np.empty_like(positions)
         share_out(

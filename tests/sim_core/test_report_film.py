@@ -292,7 +292,7 @@ def test_the_command_line_says_how_the_film_fared(capsys: pytest.CaptureFixture[
     x, y, z = report["wrap"]["peak_position_m"]
     place = f"x {x:.2f} y {y:.2f} z {z:.2f} m"
     assert film_lines(report) == [
-        f"film stretch_film_20, 6 layers everywhere: largest strain 6.89 % (breaks at 149 %), {place} at 0.65 s;"
+        f"film stretch_film_20, 6 layers everywhere: largest strain 6.89 % (yields at 19.5 %, breaks at 149 %), {place} at 0.65 s;"
         " not torn",
         "film pulls 540 N/m when settled and 600 N/m at most; lost 0 J",
     ]
