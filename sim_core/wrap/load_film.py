@@ -61,11 +61,8 @@ CATCH_M = 5.0e-3
 """A node that was let go and meets its box nearer to the edge than this is on the edge again."""
 LONGEST_MOVE = 0.1
 """Bodies that have moved by more than this share of the spacing are followed in parts of the way."""
-RETRIES, FINER, MOST_PARTS = 1, 4, 64
-"""How often a move that found no rest is tried again, in so many times the parts, and the most parts of all."""
-NEARLY = 3.0
-"""A residual of so many times the tolerance is not worth another try."""
-MOST_STEPS, CONTACT_ROUNDS = 15, 5
+MOST_PARTS = 64
+MOST_STEPS, CONTACT_ROUNDS = 12, 5
 WORTH_STEPS = 4
 """Newton steps with an old tangent that cost as much as a new tangent."""
 LONGEST_STEP, WILD_STEPS = 0.3, 100.0
@@ -279,25 +276,16 @@ class LoadFilm:
             return self._forces, self._torques
         self._is_changed = False
         self.answers += 1
-        kept = self.state()
         self._goal_n = min(
             max(self._tolerance_n, FOLLOWS * moved * self._hardest), LOOSEST * self._row_pull_n
         )
         parts = min(max(1, math.ceil(moved / self._longest_move_m)), MOST_PARTS)
-        for attempt in range(1 + RETRIES):
-            if attempt > 0:
-                # What one long move doesn't find, shorter ones may.
-                self.restore(kept)
-                self._factor = None
-                parts = min(FINER * parts, MOST_PARTS)
-            for part in range(1, parts + 1):
-                share = part / parts
-                turns = rotation_matrices(_between(turned_before, orientations, share))
-                self._follow(before + share * (positions - before) if part < parts else positions, turns)
-            if self.residual_n <= NEARLY * self._goal_n:
-                break
+        for part in range(1, parts + 1):
+            share = part / parts
+            turns = rotation_matrices(_between(turned_before, orientations, share))
+            self._follow(before + share * (positions - before) if part < parts else positions, turns)
         # What a fast load left loose is made exact once it rests.
-        self._is_changed = self._goal_n > self._tolerance_n
+        self._is_changed = self._goal_n > self._tolerance_n or self.residual > LOOSEST
         self._last_positions, self._last_orientations = positions.copy(), orientations.copy()
         forces, torques = np.empty_like(positions), np.empty_like(positions)
         share_out(
@@ -353,6 +341,12 @@ class LoadFilm:
             aged += 1
             if not self._step(self._factor, positions, turns):
                 self._factor, damping = None, STIFFER * damping
+        else:
+            # Not at rest yet, but in no box.
+            for _ in range(CONTACT_ROUNDS):
+                if not self._change_contacts(positions, turns, may_release=False):
+                    break
+            self._evaluate()
         self.residual_n = largest_excess(self._kinds, self._pushes, self._limits, self._slips)
 
     def _tangent(self, damping: float) -> Factor:

@@ -179,8 +179,8 @@ def test_nothing_of_the_films_momentum_is_lost(seed: int) -> None:
     scene = cartons()
     film = LoadFilm(scene, *placed(scene))
     positions, orientations = moved_about(scene, seed)
-    film.wrenches(positions, orientations)
-    forces, torques = film.wrenches(positions, orientations)
+    for _ in range(5):
+        forces, torques = film.wrenches(positions, orientations)
     largest = np.abs(forces).max()
     assert np.abs(forces.sum(axis=0)).max() < 1e-9 * largest
     moments = (np.cross(positions, forces) + torques).sum(axis=0)
