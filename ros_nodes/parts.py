@@ -8,6 +8,7 @@ from typing import Literal
 from config.errors import RefusedInput
 from config.scene import Accelerometer, ForceFields, Sampling, Scene
 from config.scene_file import validate_scene
+from config.wrap import Wrap
 
 Option = Literal["with_bag", "with_page", "with_estimate", "cross_check"]
 
@@ -55,6 +56,13 @@ PARTS = (
         "force_fields", "four force fields that hold the load",
         key="force_fields", on=lambda scene: scene.force_fields or ForceFields(),
         enters=("sim_core.force_fields:",),
+    ),
+    OptionalPart(
+        "wrap", "film around the load, coupled both ways",
+        key="wrap", on=lambda scene: scene.wrap or Wrap(material="stretch_film_20", turns=6.0),
+        imports=("numba", "sim_core.wrap"), enters=("sim_core.wrap.",),
+        # Fields stand for a wrap: both at once hold twice.
+        in_all=False,
     ),
     OptionalPart(
         "accelerometer", "readings of the sled's accelerometer",

@@ -92,7 +92,9 @@ def test_material_and_turns_are_required() -> None:
 
 
 def test_a_scene_without_a_wrap_has_none_and_says_so() -> None:
-    for name in shipped_scenes():
+    bare = [name for name in shipped_scenes() if "wrap" not in name.split("_")]
+    assert len(bare) > 10
+    for name in bare:
         shipped = read_scene(find_scene(name))
         assert shipped.wrap is None
         assert shipped.film is None
