@@ -278,7 +278,9 @@ class Solver(Part):
     time_step_s: float | None = Field(
         default=None, ge=1.0e-5, le=0.02, description="explicit: then a tolerance doesn't change it"
     )
-    iterations: int | None = Field(default=None, ge=1, le=10_000)
+    iterations: int | None = Field(
+        default=None, ge=1, le=10_000, description="of the contact solver; MuJoCo's may take 100 on a wrapped load"
+    )
 
     @model_validator(mode="after")
     def _auto_chooses_all(self) -> Self:
