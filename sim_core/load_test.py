@@ -384,9 +384,12 @@ class LoadTest:
         positions, orientations = self.engine.poses()
         if not self._film_holds:
             self._film.wrenches(positions, orientations)
-        self._film_watch.take(time_s, self._film.commit())
-        if not self._impacts.standing(positions, rotation_matrices(orientations)).all():
-            # Rule (iv) is broken: what a film does to packages that lie about costs most and changes nothing.
+        if not self._film.is_lost:
+            self._film_watch.take(time_s, self._film.commit())
+        stands = self._impacts.standing(positions, rotation_matrices(orientations)).all()
+        if not stands or (self._film.is_lost and self._film.film.torn.any()):
+            # Rule (iv) is broken: what torn film, or film on packages that lie about, does costs most and changes
+            # nothing.
             self._film.let_go()
             self._film_watch.summary.let_go_s = time_s
 
@@ -410,7 +413,7 @@ class LoadTest:
         self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
         for changes in self._since_snapshot:
             self._advance(changes)
-            if self._film is not None:
+            if self._film is not None and not self._film.is_lost:
                 self._film.commit()
 
     def _build_fields(self) -> PerimeterForceFields | None:

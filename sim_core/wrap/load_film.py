@@ -53,6 +53,9 @@ TOLERANCE = 3.0e-3
 """Force left on a node, as a share of the pull of a row of film: the error of the answer, about."""
 FOLLOWS, LOOSEST = 0.05, 0.03
 """While boxes move the force may be off by this share of what the move changes it by, up to so much of a row's pull."""
+LOST = 0.1
+"""Film left so far out of balance, as a share of a row's pull, shows no strain or pull that is its own: it neither
+flows nor tears, and the boxes keep the pull that it had before."""
 LEAST_STRAIN = 1.0e-2
 """Strain whose pull the tolerance is a share of where the film was laid looser than that."""
 PENETRATION_M = 2.0e-7
@@ -242,6 +245,11 @@ class LoadFilm:
         return float(self.residual_n / self._row_pull_n)
 
     @property
+    def is_lost(self) -> bool:
+        """Whether the last answer left the film out of balance by more than its strain can be trusted with."""
+        return self.residual > LOST
+
+    @property
     def off_edges(self) -> Flags:
         """Nodes that are on no edge, shape [n]."""
         off: Flags = self._kinds != EDGE
@@ -287,6 +295,8 @@ class LoadFilm:
         # What a fast load left loose is made exact once it rests.
         self._is_changed = self._goal_n > self._tolerance_n or self.residual > LOOSEST
         self._last_positions, self._last_orientations = positions.copy(), orientations.copy()
+        if self.is_lost and self.answers > 1:
+            return self._forces, self._torques
         forces, torques = np.empty_like(positions), np.empty_like(positions)
         share_out(
             self.nodes, self._even + self._odd, self._kinds, self._holders, self._normals, self._columns,

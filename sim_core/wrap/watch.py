@@ -28,7 +28,7 @@ class FilmSummary:
         first_tear_position_m: middle of the element that tore first, frame ``sled`` [m], or None.
         first_tear_time_s: when [s], or None.
         lost_j: elastic energy lost by flowing and tearing [J].
-        let_go_s: when a package had toppled or fallen and the film was let go [s], or None.
+        let_go_s: when a package had toppled or fallen, or torn film found no rest, and it was let go [s], or None.
         residual: largest force left on a node, as a share of the pull of a row of film.
     """
 

@@ -10,18 +10,29 @@ from config.scene import Scene
 from config.scene_file import validate_scene
 from recordings.judge_bag import judge_bag
 from ros_nodes.supervisor import Supervisor
-from sim_core.accuracy.cases import cartons_scene
 from sim_core.report import judgement, report_json
 from tests.ros_nodes.graph import environment, missing_of, pallet_twin, payloads
 
-# One turn of paper around a column on the bare sled, which it tears.
+# One turn of paper around two boxes that slide on their pallet, which tears it at the deck.
 TORN: dict[str, Any] = {
-    **cartons_scene(4, level_g=0.8, columns=(1, 1)),
     "name": "torn",
+    "load": {
+        "packages": [
+            {"id": name, "size_m": [0.5, 0.5, 0.25], "mass_kg": 60.0, "position_m": [0.0, 0.0, height]}
+            for name, height in (("low", 0.269), ("high", 0.519))
+        ]
+    },
+    "pallet": {"size_m": [0.6, 0.6, 0.144], "mass_kg": 10.0, "surface": "wood"},
+    "surfaces": {
+        "pairs": [
+            {"between": ["cardboard", "cardboard"], "friction": 0.6},
+            {"between": ["cardboard", "wood"], "friction": 0.2},
+        ]
+    },
+    "sled": {"profile": "eumos", "level_g": 0.8, "plateau_s": 0.3},
     "solver": {"engine": "mujoco"},
-    "wrap": {"material": "kraft_80", "turns": 1, "spacing_m": 0.2},
+    "wrap": {"material": "kraft_80", "turns": 0.3, "spacing_m": 0.2},
 }
-TORN["sled"]["plateau_s"] = 0.3
 
 VIEWER = """
 import sys, time, rclpy, rclpy.executors
@@ -63,7 +74,7 @@ def test_graph_gives_the_bytes_of_a_run_while_somebody_looks(tmp_path: Path) -> 
         assert reports[0][key] == reports[1][key], key
     torn_s = reports[0]["film"]["torn_s"]
     count, torn = len(torn_s), sum(time_s >= 0.0 for time_s in torn_s)
-    assert torn > 10
+    assert torn > 0
     scene, judge = judge_bag(bags[0])
     assert (
         report_json(judgement(scene, judge), compact=True).encode()
