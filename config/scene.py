@@ -279,7 +279,10 @@ class Solver(Part):
         default=None, ge=1.0e-5, le=0.02, description="explicit: then a tolerance doesn't change it"
     )
     iterations: int | None = Field(
-        default=None, ge=1, le=10_000, description="of the contact solver; MuJoCo's may take 100 on a wrapped load"
+        default=None,
+        ge=1,
+        le=10_000,
+        description="of the contact solver; MuJoCo's may take 100 on a wrapped load",
     )
 
     @model_validator(mode="after")
@@ -342,10 +345,18 @@ class Scene(Part):
         return samples / (steps * self.sampling.samples_hz)
 
     @property
+    def is_held_by_film(self) -> bool:
+        """Whether there is film that pulls on the load, and doesn't only follow it."""
+        return self.wrap is not None and self.wrap.is_wound and self.wrap.coupling == "two_way"
+
+    @property
     def iterations(self) -> int:
         """The solver iterations in use."""
-        is_held = self.wrap is not None and self.wrap.is_wound and self.wrap.coupling == "two_way"
-        default = WRAPPED_ITERATIONS if is_held and self.solver.engine == "bullet" else DEFAULT_ITERATIONS
+        default = (
+            WRAPPED_ITERATIONS
+            if self.is_held_by_film and self.solver.engine == "bullet"
+            else DEFAULT_ITERATIONS
+        )
         return self.solver.iterations or default
 
     @property

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 SETTLED_FOR_S, SETTLED_WITHIN_M, SETTLE_LIMIT_S = 0.05, 5.0e-5, 2.0
 SETTLED_SINK_M = 3.0e-3
 """Gap (2 mm) and overlap (1 mm) that the integrity check lets a package start with."""
+DRAWN_M = 10.0e-3
+"""A film may close the gaps between packages, and draws them by so much at most."""
 REST_FOR_S, REST_WITHIN_M, REST_LIMIT_S = 0.25, 5.0e-4, 3.0
 CONTACT_CHECK_HZ = 30
 SNAPSHOT_HZ = 10
@@ -234,8 +236,7 @@ class LoadTest:
             tolerance = TOLERANCE if self._film_tolerance is None else self._film_tolerance
             self._film = LoadFilm(self.scene, *self.engine.poses(), tolerance=tolerance)
             if self._film_holds:
-                self._fit_step_to_film(self._film)
-            self.settle_s += self._come_to_rest()
+                self._settle_under_film(self._film)
             self._film_watch = FilmWatch(self._film)
         self._monitors.contacts(self.engine.contacts(), self.engine.residual())
         self._ledger = self._accounted()
@@ -243,6 +244,25 @@ class LoadTest:
         frame = self._frame(stamp_ns)
         self._show_film(frame)
         return frame
+
+    def _settle_under_film(self, film: "LoadFilm") -> None:
+        """Lets the load come to rest under the film's pull.
+
+        Raises:
+            EndedByMonitor: it doesn't, or the film drew a package from its place: the test would be another load's.
+        """
+        self._fit_step_to_film(film)
+        before = self.engine.poses()[0]
+        self.settle_s += self._come_to_rest()
+        drawn_m = np.linalg.norm(self.engine.poses()[0] - before, axis=1)[1:]
+        row = int(drawn_m.argmax())
+        if drawn_m[row] > DRAWN_M:
+            raise EndedByMonitor(
+                "settling",
+                f"the film drew {self.scene.packages[row].id} by {1000.0 * drawn_m[row]:.1f} mm while the load"
+                f" settled, limit {1000.0 * DRAWN_M:.0f} mm: packages stand apart",
+                0.0,
+            )
 
     def _fit_step_to_film(self, film: "LoadFilm") -> None:
         """Halves the step until it is small enough for the film, whose forces are those of the step before.

@@ -21,7 +21,7 @@ from sim_core.judge import EumosJudge
 
 RawScene = dict[str, Any]
 ReferenceKind = Literal["closed form", "own ODE", "zero", "self-refined"]
-SceneKind = Literal["sliding", "impact", "resting", "threshold", "pressed"]
+SceneKind = Literal["sliding", "impact", "resting", "threshold", "wrapped", "pressed"]
 
 POSES_HZ = 240
 """Pose frames a second of every case, where the step allows it."""

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Sequence
 from math import ceil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -28,10 +28,12 @@ def work_precision_figure(rows: Sequence[Row], cases: Sequence[str]) -> str:
     from matplotlib.figure import Figure
 
     with drawing_settings():
-        figure = Figure(figsize=(WIDTH_IN, 2.75 * ceil(len(cases) / 2) + 0.6))
+        height_in = 2.6 * ceil(len(cases) / 2) + 0.6
+        figure = Figure(figsize=(WIDTH_IN, height_in))
+        top, bottom = 1.0 - 0.7 / height_in, 0.5 / height_in
         panels = figure.subplots(
             ceil(len(cases) / 2), 2, squeeze=False,
-            gridspec_kw={"left": 0.07, "right": 0.98, "top": 0.93, "bottom": 0.08, "wspace": 0.2, "hspace": 0.42},
+            gridspec_kw={"left": 0.07, "right": 0.98, "top": top, "bottom": bottom, "wspace": 0.2, "hspace": 0.42},
         )  # fmt: skip
         families = _families(rows)
         for axes, case in zip(panels.flat, cases, strict=False):
@@ -41,7 +43,7 @@ def work_precision_figure(rows: Sequence[Row], cases: Sequence[str]) -> str:
         handles = {
             h.get_label(): h for axes in panels.flat for h in axes.get_lines() if h.get_label()[0] != "_"
         }
-        figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=6, frameon=False)
+        figure.legend(handles.values(), handles.keys(), loc="upper center", ncols=7, frameon=False)
         return svg_text(figure, "Error against wall time, by case and setting", "work-precision")
 
 
@@ -80,8 +82,8 @@ def growth_figure(points: Sequence[GrowthPoint]) -> str:
             name = f"{engine}: ∝ contacts^{exponents[engine]:.2f}" if engine in exponents else engine
             cost.plot([p.contacts for p in own], [p.step_ms for p in own], label=name, **style)
         speed.axhline(1.0, color=FAINT, linewidth=0.8, linestyle=(0, (3, 2)))
-        _finish(speed, "packages", "real-time factor")
-        _finish(cost, "contacts", "wall time a step [ms]")
+        finish(speed, "packages", "real-time factor")
+        finish(cost, "contacts", "wall time a step [ms]")
         for axes in (speed, cost):
             axes.legend(frameon=False)
         return svg_text(figure, "Real-time factor and time a step against the size of the load", "growth")
@@ -104,26 +106,44 @@ def standalone_svg(svg: str) -> str:
     return head + style + svg[opened:] + "\n"
 
 
-def _families(rows: Sequence[Row]) -> dict[str, tuple[str, str]]:
-    """Colour and marker of each setting family."""
-    names = sorted({(row.engine, row.iterations) for row in rows})
+Family = tuple[str, str, Any]
+
+
+def _families(rows: Sequence[Row]) -> dict[str, Family]:
+    """Colour, marker and line of each setting family; those of few cases come last, and take colours again, dashed."""
+    cases = {(row.engine, row.iterations): set[str]() for row in rows}
+    for row in rows:
+        cases[row.engine, row.iterations].add(row.case)
+    most = max((len(found) for found in cases.values()), default=0)
+    names = sorted(cases, key=lambda name: (2 * len(cases[name]) < most, name))
     return {
-        f"{engine} × {iterations}": (BANDS[i % len(BANDS)], _MARKS[engine])
+        f"{engine} × {iterations}": (
+            BANDS[i % len(BANDS)], _MARKS[engine], "solid" if i < len(BANDS) else (0, (3, 1.5)),
+        )
         for i, (engine, iterations) in enumerate(names)
-    }
+    }  # fmt: skip
 
 
-def _draw_work(axes: "Axes", rows: Sequence[Row], case: str, families: dict[str, tuple[str, str]]) -> None:
+def _draw_work(axes: "Axes", rows: Sequence[Row], case: str, families: dict[str, Family]) -> None:
     from matplotlib.patches import Rectangle
 
     done = [row for row in rows if row.error is not None and row.real_time_factor]
-    for family, (colour, mark) in families.items():
+    for family, (colour, mark, line) in families.items():
         own = sorted((row for row in done if row.setting.family == family), key=lambda row: row.rate_hz)
         if not own:
             continue
         errors = [max(row.error or 0.0, _LEAST_ERROR) for row in own]
         costs = [1.0 / (row.real_time_factor or 1.0) for row in own]
-        axes.plot(errors, costs, color=colour, marker=mark, markersize=4, linewidth=1.2, label=family)
+        axes.plot(
+            errors,
+            costs,
+            color=colour,
+            marker=mark,
+            linestyle=line,
+            markersize=4,
+            linewidth=1.2,
+            label=family,
+        )
         for row, error, cost in ((own[0], errors[0], costs[0]), (own[-1], errors[-1], costs[-1])):
             axes.annotate(
                 f"1/{row.rate_hz}", (error, cost), (3, 3), textcoords="offset points", fontsize=6.5, color=INK
@@ -133,7 +153,7 @@ def _draw_work(axes: "Axes", rows: Sequence[Row], case: str, families: dict[str,
     bar = min((q.bar for row in done for q in row.quantities), default=None)
     if bar is not None:
         axes.axvline(bar, color=BAD, linewidth=1.0, linestyle=(0, (4, 2)))
-    _finish(axes, f"largest error [{unit}]", "wall s per simulated s")
+    finish(axes, f"largest error [{unit}]", "wall s per simulated s")
     axes.set_title(case)
     failed = [row for row in rows if row.failed]
     if failed:
@@ -162,10 +182,10 @@ def _draw_orders(
     axes: "Axes",
     rows: Sequence[Row],
     case: str,
-    families: dict[str, tuple[str, str]],
+    families: dict[str, Family],
     orders: Sequence[Order],
 ) -> None:
-    for family, (colour, mark) in families.items():
+    for family, (colour, mark, line) in families.items():
         own = sorted(
             (1.0 / row.rate_hz, max(row.error, _LEAST_ERROR))
             for row in rows
@@ -176,13 +196,16 @@ def _draw_orders(
         fitted = next((o for o in orders if o.case == case and o.family == family), None)
         name = family + (f": order {fitted.order:.2f}" if fitted is not None else "")
         steps, errors = np.array(own).T
-        axes.plot(steps, errors, color=colour, marker=mark, markersize=4, linewidth=1.2, label=name)
-    _finish(axes, "step [s]", "largest error [mm]")
+        axes.plot(
+            steps, errors, color=colour, marker=mark, linestyle=line, markersize=4, linewidth=1.2, label=name
+        )
+    finish(axes, "step [s]", "largest error [mm]")
     axes.set_title(case)
     axes.legend(frameon=False, fontsize=6.5)
 
 
-def _finish(axes: "Axes", x: str, y: str) -> None:
+def finish(axes: "Axes", x: str, y: str) -> None:
+    """Logarithmic axes with plain numbers, a grid and labels."""
     from matplotlib.ticker import FuncFormatter, NullFormatter
 
     axes.set_xscale("log")

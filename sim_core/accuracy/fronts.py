@@ -1,6 +1,6 @@
 """What a sweep says: fitted orders, work-precision fronts, the cheapest setting inside a tolerance, growth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -126,7 +126,7 @@ def cheapest(rows: Sequence[Row], kind: SceneKind, tolerance_mm: float | None) -
                 by_setting.setdefault(row.setting, []).append(row)
         ranked = []
         for setting, group in by_setting.items():
-            scored = [(_score(row, tolerance_mm), row.case) for row in group]
+            scored = [(_score(row, rows, tolerance_mm), row.case) for row in group]
             cost = max((1.0 / row.real_time_factor for row in group if row.real_time_factor), default=np.inf)
             ranked.append((setting, max(scored), cost))
         if not ranked:
@@ -142,15 +142,20 @@ def cheapest(rows: Sequence[Row], kind: SceneKind, tolerance_mm: float | None) -
     return choices
 
 
-def work_precision(rows: Sequence[Row]) -> tuple[TableRow, ...]:
+def work_precision(rows: Sequence[Row], *, on_chance: Collection[str] = ()) -> tuple[TableRow, ...]:
     """The table that engines and steps are chosen from: settings that ended no case of a kind, with its worst error.
 
     A load that slides may also bump, so sliding loads count the impact's error too. Pressed loads have no row: their
     errors are chance, and don't fall with the step.
+
+    Args:
+        rows: a sweep.
+        on_chance: cases whose error is chance, not the setting's: a setting must run them, and that is all.
     """
     kinds: dict[WantedKind, set[str]] = {
         "resting": {"resting"},
         "sliding": {"sliding", "impact"},
+        "wrapped": {"wrapped"},
     }
     table = []
     for kind, sources in kinds.items():
@@ -159,11 +164,11 @@ def work_precision(rows: Sequence[Row]) -> tuple[TableRow, ...]:
             if row.kind in sources:
                 groups.setdefault(row.setting, []).append(row)
         for setting, group in groups.items():
-            scored = [(row.error, row.case, row.real_time_factor) for row in group]
-            if any(error is None or factor is None for error, _, factor in scored):
+            if any(row.error is None or row.real_time_factor is None for row in group):
                 continue
-            error, case = max((error or 0.0, case) for error, case, _ in scored)
-            cost = max(1.0 / (factor or np.inf) for _, _, factor in scored)
+            counting = [row for row in group if row.case not in on_chance]
+            error, case = max((counted_error(row, rows) or 0.0, row.case) for row in counting)
+            cost = max(1.0 / (row.real_time_factor or np.inf) for row in counting)
             engine: Literal["bullet", "mujoco"] = "mujoco" if setting.engine == "mujoco" else "bullet"
             table.append(
                 TableRow(
@@ -173,12 +178,33 @@ def work_precision(rows: Sequence[Row]) -> tuple[TableRow, ...]:
     return tuple(table)
 
 
+def counted_error(row: Row, rows: Sequence[Row]) -> float | None:
+    """What a row's error counts for in choosing a setting; None where it failed.
+
+    Errors of step, film and solver cancel by chance in a wrapped load, so there a step counts as no better than any
+    finer one.
+
+    Args:
+        row: a row of the sweep.
+        rows: the sweep.
+    """
+    if row.error is None or row.kind != "wrapped":
+        return row.error
+    finer = [
+        other.error or 0.0
+        for other in rows
+        if (other.case, other.setting.family) == (row.case, row.setting.family)
+        and other.rate_hz >= row.rate_hz
+    ]
+    return max(finer, default=row.error)
+
+
 def _figures(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def _score(row: Row, tolerance_mm: float | None) -> float:
-    score = row.bars if tolerance_mm is None else row.error
+def _score(row: Row, rows: Sequence[Row], tolerance_mm: float | None) -> float:
+    score = row.bars if tolerance_mm is None else counted_error(row, rows)
     return np.inf if row.failed or score is None else score
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from sim_core.accuracy.bare_loops import LoopCost
 from sim_core.accuracy.cases import Case
@@ -12,6 +12,10 @@ from sim_core.accuracy.figures import growth_figure, order_figure, standalone_sv
 from sim_core.accuracy.fronts import Choice, GrowthPoint, Order, as_table
 from sim_core.accuracy.sweep import Row
 from sim_core.report_style import STYLE
+from sim_core.work_precision import AUTO_TOLERANCE_MM
+
+if TYPE_CHECKING:
+    from sim_core.accuracy.film import FilmFindings
 
 
 def write_page(
@@ -23,6 +27,7 @@ def write_page(
     points: Sequence[GrowthPoint],
     covered: Sequence[Coverage],
     loops: Sequence[LoopCost],
+    film: "FilmFindings | None" = None,
 ) -> None:
     """Writes ``accuracy.html`` and each figure as an SVG file of its own.
 
@@ -35,6 +40,7 @@ def write_page(
         points: growth with the size of the load; may be empty.
         covered: how often the error estimate holds; may be empty.
         loops: raw engine loops beside our tests; may be empty.
+        film: the film's own sweeps, where they were run.
     """
     names = list(dict.fromkeys(case.name for case in cases))
     smooth = [name for name in names if any(order.case == name for order in orders)]
@@ -43,12 +49,15 @@ def write_page(
         figures["order"] = order_figure(rows, smooth, orders)
     if points:
         figures["growth"] = growth_figure(points)
+    figures |= film_figures(film) if film is not None else {}
     for name, svg in figures.items():
         (out / f"{name}.svg").write_text(standalone_svg(svg), encoding="utf-8")
     captions = {
         "work_precision": "Error against wall time. Dashed: what is allowed. Labels: the step.",
         "order": "Error against step, with the order fitted to all errors above 1 µm.",
         "growth": "Real-time factor against packages, and time a step against contacts.",
+        "film": "The film: error against time. A panel a knob; the default is ringed, dashed is 1 mm.",
+        "film_strip": "A pulled strip. Error of its elongation over Newton steps; dashed is 0.5 %.",
     }
     sections = [
         _section(
@@ -62,6 +71,7 @@ def write_page(
         _section("Cheapest setting inside a tolerance", table(as_table(choices))),
         *([_section("Does the error estimate hold?", table(coverage_rows(covered)))] if covered else []),
         *([_section("What our layers cost", table(loop_rows(loops)))] if loops else []),
+        *([_film_section(film)] if film is not None else []),
         _section("Cases", table([{"case": case.name, "what happens": case.title} for case in cases])),
         _section(
             "Omissions", table(omission_rows(failed)) if failed else "<p>Every setting ran to its end.</p>"
@@ -78,6 +88,25 @@ def write_page(
     scratch = out / "accuracy.html.part"
     scratch.write_text(page, encoding="utf-8")
     scratch.replace(out / "accuracy.html")
+
+
+def film_figures(film: "FilmFindings") -> dict[str, str]:
+    """The film's figures by name."""
+    from sim_core.accuracy.film_figures import knobs_figure, strip_figure
+
+    return {"film": knobs_figure(film, AUTO_TOLERANCE_MM), "film_strip": strip_figure(film.strip)}
+
+
+def _film_section(film: "FilmFindings") -> str:
+    from sim_core.accuracy.film_tables import bar_rows, knob_rows, load_rows, spacing_rows
+
+    return _section(
+        "The film in figures",
+        table(bar_rows(film))
+        + "<h3>Meshes that a tolerance chooses from</h3>" + table(spacing_rows(film))
+        + "<h3>Every knob</h3>" + table(knob_rows(film))
+        + "<h3>Loads on which chance decides</h3>" + table(load_rows(film)),
+    )  # fmt: skip
 
 
 def row_entry(row: Row) -> dict[str, Any]:

@@ -252,7 +252,7 @@ def _moving_rows(model: RigidModel) -> list[int]:
 def _xml(model: RigidModel, scene: Scene) -> str:
     root = Element("mujoco", model="load")
     SubElement(root, "compiler", angle="radian", autolimits="true")
-    is_wrapped = scene.film is not None
+    is_wrapped = scene.is_held_by_film
     tolerance = TOLERANCE_WRAPPED if is_wrapped else TOLERANCE
     iterations = max(scene.iterations, LEAST_ITERATIONS_WRAPPED) if is_wrapped else scene.iterations
     SubElement(

@@ -1,5 +1,7 @@
 """Rows of the stability table as data: what is run, what is expected, what came out."""
 
+import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -79,13 +81,18 @@ class Trial:
         return any(r.rule == "damage" and r.state == "fail" for r in self.finished.judge.rules())
 
 
+class TookTooLong(Exception):
+    """A run that was given up: to its user it hangs."""
+
+
 class _Path:
-    """Keeps every frame of a test."""
+    """Keeps every frame of a test, for as long as patience lasts [s]."""
 
     __test__ = False
 
-    def __init__(self) -> None:
+    def __init__(self, patience_s: float) -> None:
         self.frames: list[PoseFrame] = []
+        self._patience_s, self._began = patience_s, time.perf_counter()
 
     def on_reading(self, reading: object) -> None:
         """Not needed."""
@@ -96,6 +103,9 @@ class _Path:
     def on_frame(self, frame: PoseFrame) -> None:
         """Keeps a frame."""
         self.frames.append(frame)
+        if time.perf_counter() - self._began > self._patience_s:
+            simulated_s = (frame.stamp_ns - self.frames[0].stamp_ns) / 1.0e9
+            raise TookTooLong(f"not over after {self._patience_s:g} s, at {simulated_s:.3f} s of the test")
 
     def on_film(self, frame: object) -> None:
         """Not needed."""
@@ -104,13 +114,20 @@ class _Path:
         """Not needed."""
 
 
-def try_scene(scene: Scene) -> Trial:
-    """Runs one scene to its end, its refusal or its breach."""
-    path = _Path()
+def try_scene(scene: Scene, *, patience_s: float = math.inf) -> Trial:
+    """Runs one scene to its end, its refusal or its breach.
+
+    Raises:
+        TookTooLong: it was not over in time.
+    """
+    path = _Path(patience_s)
     try:
         result = run_test(scene, observers=[path])
     except RefusedInput as error:
         return Trial(scene, (), None, error)
+    if result.wall_s > patience_s:
+        # What takes so long before the first frame doesn't come by the observer.
+        raise TookTooLong(f"over after {result.wall_s:.0f} s, limit {patience_s:g} s")
     return Trial(scene, tuple(path.frames), result)
 
 
@@ -157,6 +174,7 @@ class StressRow:
         engines: the engines for which the row makes sense.
         quick: whether the row belongs to the quick selection of the tests.
         partial: whether ``judge`` wants refused and ended trials too.
+        patience_s: wall time after which a scene counts as hanging [s].
     """
 
     id: str
@@ -169,6 +187,7 @@ class StressRow:
     engines: tuple[str, ...] = ("bullet", "mujoco")
     quick: bool = False
     partial: bool = False
+    patience_s: float = math.inf
 
 
 @dataclass(frozen=True)

@@ -9,9 +9,12 @@ from pathlib import Path
 
 from config.errors import RefusedInput
 from sim_core.companion import Companion
-from sim_core.stress.model import Judgement, KnownWrong, Outcome, StressResult, StressRow, Trial, try_scene
+from sim_core.stress.known import KNOWN_WRONG
+from sim_core.stress.model import Judgement, Outcome, StressResult, StressRow, Trial, try_scene
 from sim_core.stress.page import write_results
 from sim_core.stress.rows_fields import FIELD_ROWS
+from sim_core.stress.rows_film import FILM_ROWS
+from sim_core.stress.rows_film_tears import FILM_TEAR_ROWS
 from sim_core.stress.rows_input import INPUT_ROWS
 from sim_core.stress.rows_invariance import INVARIANCE_ROWS
 from sim_core.stress.rows_sled import SLED_ROWS
@@ -19,15 +22,12 @@ from sim_core.stress.rows_stacks import STACK_ROWS
 
 ENGINES = ("bullet", "mujoco")
 
-KNOWN_WRONG: tuple[KnownWrong, ...] = ()
-"""The defects that are known and not caught yet; every other ``wrong`` is news."""
-
 Progress = Callable[[int, int, StressResult], None]
 
 
 def all_rows() -> tuple[StressRow, ...]:
     """Every row of the table, in its order."""
-    return (*STACK_ROWS, *SLED_ROWS, *FIELD_ROWS, *INVARIANCE_ROWS, *INPUT_ROWS)
+    return (*STACK_ROWS, *SLED_ROWS, *FIELD_ROWS, *FILM_ROWS, *FILM_TEAR_ROWS, *INVARIANCE_ROWS, *INPUT_ROWS)
 
 
 def run_stress(
@@ -76,7 +76,7 @@ def run_row(row: StressRow, engine: str) -> StressResult:
     trials: list[Trial] = []
     try:
         for scene in row.scenes(engine):
-            trials.append(try_scene(scene))
+            trials.append(try_scene(scene, patience_s=row.patience_s))
             if (trials[-1].refused or trials[-1].ended) and not row.partial:
                 break
         outcome, judgement = _outcome_of(row, trials)

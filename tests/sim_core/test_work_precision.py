@@ -16,9 +16,12 @@ from sim_core.judge import EumosJudge
 from sim_core.run import TestResult, run_test
 from sim_core.work_precision import (
     SceneKind,
+    SpacingRow,
     TableRow,
+    film_spacing,
     installed_engines,
     scene_kind,
+    shipped_spacings,
     shipped_table,
     with_setting,
     write_table,
@@ -39,7 +42,17 @@ TABLE = (
     *SLIDING,
     TableRow("resting", "bullet", 960, 80, 0.4, 0.40, "40 cartons"),
     TableRow("resting", "mujoco", 480, 40, 0.1, 0.10, "40 cartons"),
+    TableRow("wrapped", "bullet", 480, 100, 0.8, 4.0, "wrapped cartons"),
+    TableRow("wrapped", "bullet", 960, 100, 0.3, 7.0, "wrapped cartons"),
+    TableRow("wrapped", "mujoco", 240, 20, 0.2, 1.0, "wrapped cartons"),
+    TableRow("wrapped", "mujoco", 960, 20, 0.1, 2.0, "wrapped cartons"),
 )
+SPACINGS = (
+    SpacingRow(0.2, 1.8, "wrapped cartons"),
+    SpacingRow(0.1, 0.7, "wrapped cartons"),
+    SpacingRow(0.05, 0.1, "wrapped cartons"),
+)
+FILM = {"material": "stretch_film_20", "turns": 3}
 
 
 def asking(name: str = "block_slip", **solver: Any) -> Scene:
@@ -61,7 +74,23 @@ def chosen(scene: Scene, table: tuple[TableRow, ...] = TABLE) -> tuple[str, int,
 
 
 def test_what_presses_is_pressed_whatever_else() -> None:
-    assert scene_kind(read_scene(find_scene("eur_fields_05g"))) == "pressed"
+    fields = read_scene(find_scene("eur_fields_05g"))
+    assert scene_kind(fields) == "pressed"
+    for coupling in ("one_way", "two_way"):
+        both = validate_scene({**fields.model_dump(), "wrap": {**FILM, "coupling": coupling}})
+        assert scene_kind(both) == "pressed"
+
+
+def wrapped(solver: dict[str, Any], **wrap: Any) -> Scene:
+    scene = read_scene(find_scene("eur_columns"))
+    return validate_scene({**scene.model_dump(), "solver": solver, "wrap": {**FILM, **wrap}})
+
+
+def test_what_a_film_holds_is_wrapped_and_what_it_only_follows_is_not() -> None:
+    bare = scene_kind(read_scene(find_scene("eur_columns")))
+    assert scene_kind(wrapped({})) == "wrapped"
+    assert scene_kind(wrapped({}, coupling="one_way")) == bare
+    assert scene_kind(wrapped({}, turns=0)) == bare
 
 
 @pytest.mark.parametrize(
@@ -149,6 +178,69 @@ def test_pressed_loads_begin_at_the_default_step(asked: str, given: str) -> None
 
 
 @pytest.mark.parametrize(
+    ("tolerance_mm", "spacing_m"), [(5.0, 0.2), (1.8, 0.2), (1.0, 0.1), (0.3, 0.05), (0.05, 0.05)]
+)
+def test_the_coarsest_mesh_inside_a_tolerance(tolerance_mm: float, spacing_m: float) -> None:
+    row = film_spacing(tolerance_mm, SPACINGS)
+    assert row is not None and row.spacing_m == spacing_m
+    assert film_spacing(tolerance_mm, ()) is None
+
+
+@pytest.mark.parametrize(
+    ("solver", "setting", "spacing_m"),
+    [
+        # Without a tolerance of its own: 1 mm for the engine, and the film's own mesh.
+        ({"engine": "auto"}, ("mujoco", 240, 20), None),
+        # The mesh of 0.1 m takes 0.7 of 1 mm, and the engine has 0.3 mm.
+        ({"engine": "auto", "tolerance_mm": 1.0}, ("mujoco", 240, 20), 0.1),
+        ({"engine": "bullet", "tolerance_mm": 1.0}, ("bullet", 960, 100), 0.1),
+        ({"engine": "bullet", "tolerance_mm": 1.5}, ("bullet", 480, 100), 0.1),
+        ({"engine": "auto", "tolerance_mm": 0.25}, ("mujoco", 960, 20), 0.05),
+    ],
+)
+def test_a_wrapped_load_shares_its_tolerance_between_mesh_and_engine(
+    solver: dict[str, Any], setting: tuple[str, int, int], spacing_m: float | None
+) -> None:
+    if setting[0] not in installed_engines():
+        pytest.skip("MuJoCo is not installed")
+    scene = wrapped(solver)
+    given, why = with_setting(scene, TABLE, SPACINGS)
+    assert (given.solver.engine, round(1.0 / given.time_step_s), given.iterations) == setting
+    assert given.wrap is not None and given.wrap.spacing_m == spacing_m
+    assert "for wrapped loads: {} at 1/{} s × {}".format(*setting) in why
+    if spacing_m is not None:
+        assert f"; of {solver['tolerance_mm']:g} mm the film's mesh of {spacing_m:g} m takes " in why
+    # The scene is one that a file may hold, and nothing in it is left open.
+    assert scene_from_json(given.to_json()) == given
+    assert with_setting(given, TABLE, SPACINGS) == (given, "as the scene says")
+
+
+def test_a_mesh_that_no_tolerance_allows_is_the_finest() -> None:
+    given, why = with_setting(wrapped({"tolerance_mm": 0.1}), TABLE, SPACINGS)
+    assert given.wrap is not None and given.wrap.spacing_m == 0.05
+    assert why.startswith("no setting is inside 0.025 mm for wrapped loads") and why.endswith(
+        ", the finest there is"
+    )
+
+
+def test_a_mesh_of_the_scenes_own_stands() -> None:
+    given, why = with_setting(wrapped({"tolerance_mm": 1.0}, spacing_m=0.3), TABLE, SPACINGS)
+    assert given.wrap is not None and given.wrap.spacing_m == 0.3 and "mesh" not in why
+    assert round(1.0 / given.time_step_s) == 480
+
+
+def test_a_film_that_only_follows_keeps_its_mesh() -> None:
+    given, why = with_setting(wrapped({"tolerance_mm": 1.0}, coupling="one_way"), TABLE, SPACINGS)
+    assert given.wrap is not None and given.wrap.spacing_m is None and "mesh" not in why
+
+
+def test_an_explicit_step_leaves_the_mesh_to_the_tolerance() -> None:
+    given, why = with_setting(wrapped({"tolerance_mm": 0.2, "time_step_s": 1.0 / 960.0}), TABLE, SPACINGS)
+    assert given.wrap is not None and given.wrap.spacing_m == 0.05
+    assert given.time_step_s == 1.0 / 960.0 and why.startswith("as the scene says; of 0.2 mm the film's mesh")
+
+
+@pytest.mark.parametrize(
     "solver",
     [
         {},
@@ -196,11 +288,13 @@ def test_the_setting_is_what_runs_and_keeps_the_tolerance(tolerance_mm: float) -
 
 def test_a_table_is_written_whole_and_read_again(tmp_path: Path) -> None:
     path = tmp_path / "table.json"
-    write_table(TABLE, path)
-    assert tuple(TableRow(**row) for row in json.loads(path.read_text())["rows"]) == TABLE
-    assert path.read_text().count("\n") == len(TABLE) + 2
+    write_table(TABLE, path, SPACINGS)
+    stored = json.loads(path.read_text())
+    assert tuple(TableRow(**row) for row in stored["rows"]) == TABLE
+    assert tuple(SpacingRow(**row) for row in stored["film_spacings"]) == SPACINGS
+    assert path.read_text().count("\n") == len(TABLE) + len(SPACINGS) + 4
     write_table((), path)
-    assert json.loads(path.read_text()) == {"rows": []}
+    assert json.loads(path.read_text()) == {"rows": [], "film_spacings": []}
     assert [entry.name for entry in tmp_path.iterdir()] == ["table.json"]
 
 
@@ -217,6 +311,27 @@ def test_the_shipped_table_serves_every_kind_but_the_pressed() -> None:
         solver = {"engine": row.engine, "time_step_s": 1.0 / row.rate_hz, "iterations": row.iterations}
         scene = validate_scene({**base, "sampling": sampling, "solver": solver})
         assert scene.steps_and_samples() == (1, 1), asdict(row)
+
+
+def test_the_shipped_meshes_are_better_the_finer_they_are() -> None:
+    rows = shipped_spacings()
+    assert len(rows) >= 3
+    assert [row.spacing_m for row in rows] == sorted({row.spacing_m for row in rows}, reverse=True)
+    assert [row.error_mm for row in rows] == sorted({row.error_mm for row in rows}, reverse=True)
+    assert all(0.0 < row.error_mm < 5.0 for row in rows)
+    # What is meshed without a tolerance is inside what the page promises of it.
+    coarser = [row for row in rows if row.spacing_m >= 0.1]
+    assert coarser[-1].error_mm <= 2.0
+
+
+@pytest.mark.parametrize(("engine", "setting"), [("auto", ("mujoco", 240)), ("bullet", ("bullet", 480))])
+def test_the_shipped_table_has_a_setting_for_wrapped_loads(engine: str, setting: tuple[str, int]) -> None:
+    if setting[0] not in installed_engines():
+        pytest.skip("MuJoCo is not installed")
+    given, why = with_setting(wrapped({"engine": engine, "tolerance_mm": 1.0}, spacing_m=0.1))
+    assert (given.solver.engine, round(1.0 / given.time_step_s)) == setting
+    assert why.startswith("the cheapest setting inside 1 mm for wrapped loads: ")
+    assert given.iterations >= (100 if setting[0] == "bullet" else 20)
 
 
 @pytest.mark.parametrize(("name", "level_g"), [("eur_columns", 0.1), ("block_slip", None)])
