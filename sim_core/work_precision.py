@@ -79,7 +79,7 @@ def scene_kind(scene: Scene) -> SceneKind:
     """
     if scene.force_fields is not None:
         return "pressed"
-    if _is_held(scene):
+    if scene.is_held_by_film and scene.packages:
         return "wrapped"
     model = build_rigid_model(scene)
     least = min((model.friction[pair] for pair in model.touching if pair in model.friction), default=0.0)
@@ -180,15 +180,15 @@ def _with_row(
     return _solver(row, asked), why
 
 
-def _is_held(scene: Scene) -> bool:
-    """Whether a film holds the load, and isn't only watched."""
-    return scene.wrap is not None and scene.film is not None and scene.wrap.coupling == "two_way"
-
-
 def _with_mesh(scene: Scene, spacings: Sequence[SpacingRow] | None) -> tuple[Scene, str, float | None]:
     """The scene with its film's mesh, what to say of it, and what is left of the tolerance for the engine [mm]."""
     tolerance_mm = scene.solver.tolerance_mm
-    if tolerance_mm is None or scene.wrap is None or scene.wrap.spacing_m is not None or not _is_held(scene):
+    if (
+        tolerance_mm is None
+        or scene.wrap is None
+        or scene.wrap.spacing_m is not None
+        or not scene.is_held_by_film
+    ):
         return scene, "", tolerance_mm
     row = film_spacing(FILM_SHARE * tolerance_mm, spacings)
     if row is None:

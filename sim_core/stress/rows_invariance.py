@@ -1,5 +1,6 @@
 """What must not matter: left or right, the sled's direction, the order of the list, where a run begins again."""
 
+import math
 from collections.abc import Sequence
 from contextlib import chdir
 from tempfile import TemporaryDirectory
@@ -18,18 +19,27 @@ from sim_core.stress.loads import CARTON, Raw, box, scene_of, trapezoid
 from sim_core.stress.model import Judgement, StressRow, Trial, within
 
 TOLERANCE_M = 1.0e-3
-CLOSER_M = 0.149
+GAP_M = 1.0e-3
 HUGE_N = 1.0e15
 FRICTIONS = {("cardboard", "sled"): 0.25, ("cardboard", "cardboard"): 0.3}
 
 
-def uneven_boxes(closer_m: float = 0.0) -> list[Raw]:
-    """Two stacks of unlike boxes without a symmetry, 150 mm apart or closer; all slide at 0.4 g."""
+def uneven_boxes() -> list[Raw]:
+    """Two stacks of unlike boxes without a symmetry, 150 mm apart; all slide at 0.4 g."""
     return [
-        box("a", CARTON, 10.0, x=closer_m / 2.0 - 0.3, y=0.05),
-        box("b", (0.5, 0.4, 0.2), 14.0, x=0.3 - closer_m / 2.0, y=-0.1),
-        box("c", (0.35, 0.3, 0.2), 6.0, x=closer_m / 2.0 - 0.3, y=0.08, base_m=0.25),
-        box("d", (0.3, 0.3, 0.15), 3.0, x=0.28 - closer_m / 2.0, y=-0.05, base_m=0.2),
+        box("a", CARTON, 10.0, x=-0.3, y=0.05),
+        box("b", (0.5, 0.4, 0.2), 14.0, x=0.3, y=-0.1),
+        box("c", (0.35, 0.3, 0.2), 6.0, x=-0.3, y=0.08, base_m=0.25),
+        box("d", (0.3, 0.3, 0.15), 3.0, x=0.28, y=-0.05, base_m=0.2),
+    ]
+
+
+def _pushed_together() -> list[Raw]:
+    """The same boxes with 1 mm between the stacks: a film would draw them together."""
+    return [
+        {**b, "position_m": [math.copysign(0.5 * (b["size_m"][0] + GAP_M), x), y, z]}
+        for b in uneven_boxes()
+        for x, y, z in (b["position_m"],)
     ]
 
 
@@ -39,8 +49,7 @@ def mirrored(boxes: list[Raw]) -> list[Raw]:
 
 
 def _boxes(wrap: Raw | None) -> list[Raw]:
-    # A film would draw them together.
-    return uneven_boxes(0.0 if wrap is None else CLOSER_M)
+    return uneven_boxes() if wrap is None else _pushed_together()
 
 
 def _scene(engine: str, boxes: list[Raw], wrap: Raw | None, **sled: Any) -> Scene:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from config.errors import RefusedInput
+from config.errors import Interrupted, RefusedInput
 from sim_core.companion import Companion
 from sim_core.stress.known import KNOWN_WRONG
 from sim_core.stress.model import Judgement, Outcome, StressResult, StressRow, Trial, try_scene
@@ -82,6 +82,8 @@ def run_row(row: StressRow, engine: str) -> StressResult:
         outcome, judgement = _outcome_of(row, trials)
     except RefusedInput as error:
         outcome, judgement = "refused", Judgement(False, str(error))
+    except Interrupted:
+        raise
     # A traceback is what a user must never see: it is a defect of the product, so it is a row's outcome.
     except Exception as error:
         outcome, judgement = "wrong", Judgement(False, f"raised {type(error).__name__}: {error}")

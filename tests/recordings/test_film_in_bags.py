@@ -26,6 +26,7 @@ from sim_core.judge import EumosJudge
 from sim_core.report import judgement, report_json
 from sim_core.run import run_test
 from tests.recordings.conftest import film_frame
+from tests.torn_scene import TORN
 
 EPOCH_NS = 10**12
 STRAIN, POSES = "/twin/wrap/strain", "/twin/packages/poses"
@@ -59,7 +60,7 @@ def judged(scene: Scene, judge: EumosJudge) -> str:
 
 
 def test_a_torn_load_is_judged_again_with_the_same_words(tmp_path: Path) -> None:
-    scene = column(4)
+    scene = validate_scene(TORN)
     with TestBag(tmp_path / "bag", scene) as recording:
         result = run_test(scene, observers=[recording])
         recording.finish(judged(scene, result.judge))
@@ -77,7 +78,7 @@ def test_a_torn_load_is_judged_again_with_the_same_words(tmp_path: Path) -> None
             topic for i in range(judge.frame_count) for topic in (POSES, STRAIN)[: 1 + (i % every == 0)]
         ]
         films = [film_frame_from_payload(message.payload, 0) for message in bag.messages([STRAIN])]
-        assert films[0].torn_s.max() == -1.0 and films[-1].torn_s.max() > 0.5
+        assert films[0].torn_s.max() == -1.0 and films[-1].torn_s.max() > 0.2
 
 
 def test_film_that_tears_is_damage_though_nothing_moved(tmp_path: Path) -> None:

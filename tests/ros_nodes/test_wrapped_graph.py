@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 from config.scene import Scene
 from config.scene_file import validate_scene
@@ -12,27 +11,7 @@ from recordings.judge_bag import judge_bag
 from ros_nodes.supervisor import Supervisor
 from sim_core.report import judgement, report_json
 from tests.ros_nodes.graph import environment, missing_of, pallet_twin, payloads
-
-# One turn of paper around two boxes that slide on their pallet, which tears it at the deck.
-TORN: dict[str, Any] = {
-    "name": "torn",
-    "load": {
-        "packages": [
-            {"id": name, "size_m": [0.5, 0.5, 0.25], "mass_kg": 60.0, "position_m": [0.0, 0.0, height]}
-            for name, height in (("low", 0.269), ("high", 0.519))
-        ]
-    },
-    "pallet": {"size_m": [0.6, 0.6, 0.144], "mass_kg": 10.0, "surface": "wood"},
-    "surfaces": {
-        "pairs": [
-            {"between": ["cardboard", "cardboard"], "friction": 0.6},
-            {"between": ["cardboard", "wood"], "friction": 0.2},
-        ]
-    },
-    "sled": {"profile": "eumos", "level_g": 0.8, "plateau_s": 0.3},
-    "solver": {"engine": "mujoco"},
-    "wrap": {"material": "kraft_80", "turns": 0.3, "spacing_m": 0.2},
-}
+from tests.torn_scene import TORN
 
 VIEWER = """
 import sys, time, rclpy, rclpy.executors

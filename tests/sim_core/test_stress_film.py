@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from config.errors import Interrupted
 from config.scene import Scene
 from sim_core.accuracy.closed_forms import trapezoid_travel_m
 from sim_core.frames import GRAVITY
@@ -122,3 +123,11 @@ def test_run_that_takes_too_long_is_wrong() -> None:
     result = run_row(row, "bullet")
     assert (result.outcome, result.is_acceptable) == ("wrong", False)
     assert "TookTooLong: not over after 0 s" in result.measured
+
+
+def test_interrupted_table_stops() -> None:
+    def scenes(engine: str) -> list[Scene]:
+        raise Interrupted
+
+    with pytest.raises(Interrupted):
+        run_row(StressRow("one", "Group", "one", "stops", scenes, film_is_sane), "bullet")
