@@ -253,17 +253,19 @@ class FilmFindings:
         """The table that meshes are chosen from: the error of a spacing is the largest of its own and all finer ones.
 
         Where boxes end between two rows is chance, so a mesh can be nearer to the answer than a finer one. Spacings
-        that gain nothing over a coarser one are left out, and so is the finest, the reference.
+        that gain nothing over a coarser one are left out, and so are the finest, which is the reference, and the one
+        before it, for which nothing but the reference speaks.
         """
         mesh = next((knob for knob in self.knobs if knob.name == "mesh spacing"), None)
         found: list[SpacingRow] = []
         for value, error, row in reversed(mesh.points if mesh is not None else ()):
             largest = max(error, found[-1].error_mm if found else 0.0)
             found.append(SpacingRow(value, largest, case_name(row.load)))
-        kept = [
-            row for i, row in enumerate(found) if i + 1 == len(found) or found[i + 1].error_mm > row.error_mm
-        ]
-        return tuple(SpacingRow(r.spacing_m, float(f"{r.error_mm:.2g}"), r.case) for r in reversed(kept))
+        kept: list[SpacingRow] = []
+        for entry in reversed(found[1:]):
+            if not kept or entry.error_mm < kept[-1].error_mm:
+                kept.append(entry)
+        return tuple(SpacingRow(r.spacing_m, float(f"{r.error_mm:.2g}"), r.case) for r in kept)
 
 
 def _unit_and_value(knob: str, setting: FilmSetting) -> tuple[str, float]:

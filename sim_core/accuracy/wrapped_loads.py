@@ -62,4 +62,5 @@ def wrapped_case(load: Load, reference_mm: float) -> Case:
     return Case(
         case_name(load), f"{load} in stretch film at 0.5 g slide on the pallet as a block until it holds them",
         "wrapped", scene, (Quantity("peak", reference_mm, "self-refined", "mm", AUTO_TOLERANCE_MM),), measure,
+        is_smooth=load not in ON_CHANCE,
     )  # fmt: skip
