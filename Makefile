@@ -9,7 +9,7 @@ help:
 	@echo "make demo   run one EUMOS test of a palletised load: verdict, report, recording"
 	@echo "make test   set up the tools and run every test"
 	@echo "make lint   ruff, mypy and the import contract"
-	@echo "make bench  error against run time, stability, engine agreement, cost of the parts, into runs/ (45 minutes)"
+	@echo "make bench  error against run time, stability, engine agreement, cost of the parts, into runs/ (70 minutes)"
 	@echo "make clean  remove .venv and caches; runs/ stays"
 
 setup: $(VENV)/.main
