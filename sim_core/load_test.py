@@ -133,7 +133,7 @@ class LoadTest:
         self.film_halvings = 0
         # A coarse run, at twice the step, is to stay at twice the step.
         self._film_phase_limit = MAXIMUM_STEP_PHASE * (1.0 if with_residual_monitor else 2.0)
-        self._film_holds = scene.wrap is not None and scene.wrap.coupling == "two_way"
+        self._film_holds = scene.is_held_by_film
         # What doesn't move, or has no body, has no frequency.
         masses = [package.mass_kg if package.kind == "package" else np.inf for package in scene.packages]
         self._masses = np.array([pallet.mass_kg if pallet and not pallet.fixed else np.inf, *masses])
@@ -271,13 +271,13 @@ class LoadTest:
             EndedByMonitor: no step that is worth taking is small enough.
         """
         frequency = film.stiffest_frequency(self._masses)
-        while self._step_s * frequency > self._film_phase_limit:
-            if self.film_halvings == MOST_FILM_HALVINGS:
-                breach = self._monitors.stiffness(self._step_s, frequency, limit=self._film_phase_limit)
-                assert breach is not None
-                raise EndedByMonitor(breach.monitor, breach.reason, 0.0)
+        while self._step_s * frequency > self._film_phase_limit and self.film_halvings < MOST_FILM_HALVINGS:
             self.film_halvings += 1
             self._set_step(self._step_s / 2.0, self._split)
+        # The film's frequency is that of the film as it was laid, and the step only becomes smaller: once is enough.
+        breach = self._monitors.stiffness(self._step_s, frequency, limit=self._film_phase_limit)
+        if breach is not None:
+            raise EndedByMonitor(breach.monitor, breach.reason, 0.0)
 
     def _come_to_rest(self) -> float:
         """Steps on the standing sled until nothing moves, and says how long that took [s]."""
@@ -352,9 +352,6 @@ class LoadTest:
         if breach is None and self._fields is not None:
             frequency = self._fields.stiffest_frequency(positions, orientations)
             breach = self._monitors.stiffness(self._step_s, frequency)
-        if breach is None and self._film is not None and self._film_holds:
-            frequency = self._film.stiffest_frequency(self._masses)
-            breach = self._monitors.stiffness(self._step_s, frequency, limit=self._film_phase_limit)
         if breach is None and self._frame_count % self._frames_a_check == 0:
             breach = self._watch_contacts(positions, orientations)
         if breach is None:

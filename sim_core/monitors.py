@@ -118,10 +118,7 @@ class Monitors:
 
     def unsolved(self, residual: float, limit: float) -> Breach | None:
         """The solver's remaining residual, in the engine's measure: what stays over ten checks is creep."""
-        self._residuals.append(residual)
-        if len(self._residuals) < RESIDUAL_CHECKS:
-            return None
-        usual = median(self._residuals)
+        usual = _usual(self._residuals, residual)
         self.extremes.usual_residual = max(self.extremes.usual_residual, usual)
         if usual > limit:
             return Breach(
@@ -131,10 +128,7 @@ class Monitors:
 
     def unbalanced_film(self, residual: float) -> Breach | None:
         """What the film leaves unbalanced, as a share of the pull of a row of it: it has not found its rest."""
-        self._film_residuals.append(residual)
-        if len(self._film_residuals) < RESIDUAL_CHECKS:
-            return None
-        usual = median(self._film_residuals)
+        usual = _usual(self._film_residuals, residual)
         self.extremes.film_residual = max(self.extremes.film_residual, usual)
         if usual > MAXIMUM_FILM_RESIDUAL:
             return Breach(
@@ -168,3 +162,9 @@ class Monitors:
                 f" limit {100.0 * MAXIMUM_ENERGY_RESIDUAL:.0f} %",
             )
         return None
+
+
+def _usual(recent: deque[float], residual: float) -> float:
+    """Takes a residual and gives the median of the last ones; nothing is usual before ten of them."""
+    recent.append(residual)
+    return median(recent) if len(recent) == RESIDUAL_CHECKS else 0.0

@@ -255,10 +255,12 @@ def _xml(model: RigidModel, scene: Scene) -> str:
     is_wrapped = scene.is_held_by_film
     tolerance = TOLERANCE_WRAPPED if is_wrapped else TOLERANCE
     iterations = max(scene.iterations, LEAST_ITERATIONS_WRAPPED) if is_wrapped else scene.iterations
-    SubElement(
+    option = SubElement(
         root, "option", timestep=repr(scene.time_step_s), cone="elliptic", impratio=repr(IMPRATIO),
         iterations=str(iterations), tolerance=repr(tolerance), solver="Newton", integrator="Euler",
     )  # fmt: skip
+    # A state that went wild would begin anew from its start, and look sound.
+    SubElement(option, "flag", autoreset="disable")
     contact = {
         # Damping 1/h asks the tangential velocity to vanish within the step; the normal rows are set by hand.
         "solref": f"-1.0 {-1.0 / scene.time_step_s!r}",

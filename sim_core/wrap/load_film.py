@@ -510,7 +510,7 @@ class LoadFilm:
 
     def let_go(self) -> None:
         """Holds nothing from now on: what it would do to a load that has fallen is not followed."""
-        self.is_gone = True
+        self.is_gone, self.residual_n = True, 0.0
         self._forces, self._torques = np.zeros_like(self._forces), np.zeros_like(self._torques)
 
     _KEPT: Sequence[str] = (
