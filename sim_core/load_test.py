@@ -401,7 +401,9 @@ class LoadTest:
         positions, orientations = self.engine.poses()
         if not self._film_holds:
             self._film.wrenches(positions, orientations)
-        if not self._film.is_lost:
+        if self._film.is_lost:
+            self._film_watch.note_tears(time_s)
+        else:
             self._film_watch.take(time_s, self._film.commit())
         stands = self._impacts.standing(positions, rotation_matrices(orientations)).all()
         if not stands or (self._film.is_lost and self._film.film.torn.any()):

@@ -33,12 +33,6 @@ _REASONS: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
         ("film_loose_plates",),
         ("bullet",),
     ),
-    (
-        "MuJoCo puts a state with a huge velocity back to its start by itself (autoreset), and every monitor is"
-        " content",
-        ("huge_force",),
-        ("mujoco",),
-    ),
 )
 
 KNOWN_WRONG: tuple[KnownWrong, ...] = tuple(

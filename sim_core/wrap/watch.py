@@ -90,14 +90,21 @@ class FilmWatch:
         if largest[worst] > kept.peak_strain:
             kept.peak_strain, kept.peak_position_m = float(largest[worst]), self._middle(worst)
             kept.peak_time_s = time_s
-        if newly.any():
-            self._torn_s[newly] = time_s
-            if kept.first_tear_time_s is None:
-                first = int(np.where(newly, largest, -1.0).argmax())
-                kept.first_tear_time_s, kept.first_tear_position_m = time_s, self._middle(first)
-            kept.torn = int(elements.torn.sum())
+        self.note_tears(time_s)
         kept.peak_force_npm = max(kept.peak_force_npm, float(self._forces.max(initial=0.0)))
         kept.residual = max(kept.residual, load_film.residual)
+
+    def note_tears(self, time_s: float) -> None:
+        """Notes what has torn by now [s], also of film whose strain says nothing."""
+        torn, kept = self._film.film.torn, self.summary
+        newly = np.flatnonzero(torn & (self._torn_s < 0.0))
+        if not len(newly):
+            return
+        self._torn_s[newly] = time_s
+        kept.torn = int(torn.sum())
+        if kept.first_tear_time_s is None:
+            first = int(newly[self._peaks[newly].argmax()])
+            kept.first_tear_time_s, kept.first_tear_position_m = time_s, self._middle(first)
 
     def frame(self, index: int, stamp_ns: int) -> FilmFrame:
         """The film at the last look, to be published with a pose frame's number and stamp [ns]."""
