@@ -1,5 +1,6 @@
 """Starts the node graph that a scene needs, watches it, and ends it so that nothing recorded is lost."""
 
+import fcntl
 import json
 import os
 import signal
@@ -8,10 +9,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote
 
 from config.errors import EndedByMonitor, NodeDied, PalletTwinError, RefusedInput
 from config.scene import Scene
@@ -120,8 +123,8 @@ class Supervisor:
         """
         import rclpy
 
-        rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
-        with tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
+        with domain_of_its_own(), tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
+            rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
             try:
                 self._connect()
                 self._require_empty_domain()
@@ -166,10 +169,7 @@ class Supervisor:
         nodes = self._node.get_node_names_and_namespaces()
         found = [name for name, space in nodes if space == NAMESPACE and name in TWIN_NODES]
         if len(found) > 1:
-            domain = os.environ.get("ROS_DOMAIN_ID", "0")
-            raise RefusedInput(
-                "ROS_DOMAIN_ID", domain, "another twin runs there; set another domain, or wait"
-            )
+            raise _another_twin()
 
     def _start(self, folder: Path) -> None:
         scene_file = folder / "scene.json"
@@ -373,3 +373,37 @@ class _Refused(PalletTwinError):
 
 def _sum(first: dict[str, int], second: dict[str, int], *, only: tuple[str, ...]) -> dict[str, int]:
     return {name: count for name in only if (count := first.get(name, 0) + second.get(name, 0))}
+
+
+@contextmanager
+def domain_of_its_own() -> Iterator[None]:
+    """Keeps other supervisors of this host out of the ROS domain until this one has ended, however it ends.
+
+    Discovery alone finds another twin late on a busy machine, and then both have called the other's nodes.
+
+    Raises:
+        RefusedInput: another one has it.
+    """
+    path = Path(tempfile.gettempdir()) / f"pallet-twin-domain-{quote(_domain(), safe='')}.lock"
+    try:
+        file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    except PermissionError:
+        # Another user's: discovery has to do.
+        yield
+        return
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise _another_twin() from None
+        yield
+    finally:
+        os.close(file)
+
+
+def _domain() -> str:
+    return os.environ.get("ROS_DOMAIN_ID", "0")
+
+
+def _another_twin() -> RefusedInput:
+    return RefusedInput("ROS_DOMAIN_ID", _domain(), "another twin runs there; set another domain, or wait")
