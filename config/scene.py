@@ -6,12 +6,15 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from config.camera import Camera
 from config.materials import material_library
 from config.package import EdgeLength, Finite, Package, Point3
 from config.part import Part
-from config.wrap import FilmProperties, Wrap, film_properties
+from config.wrap import FilmProperties, Wrap, default_spacing_m, film_properties, film_span
 
 MAXIMUM_PACKAGES = 2000
+TAKEN_IDS = ("pallet", "film")
+"""What reports and frames call the pallet and the wrap."""
 DEFAULT_TIME_STEP_S = 1.0 / 480.0
 DEFAULT_ITERATIONS, WRAPPED_ITERATIONS = 40, 100
 """Where a film presses packages on each other Bullet comes to rest with 100 iterations, and never with 40."""
@@ -39,8 +42,10 @@ class PackagesLoad(Part):
     def _ids_are_unique(self) -> Self:
         seen: set[str] = set()
         for package in self.packages:
-            if package.id in seen or package.id == "pallet":
-                raise ValueError(f"package id '{package.id}' must be unique, and 'pallet' is taken")
+            if package.id in seen or package.id in TAKEN_IDS:
+                raise ValueError(
+                    f"package id '{package.id}' must be unique, and 'pallet' and 'film' are taken"
+                )
             seen.add(package.id)
         return self
 
@@ -304,6 +309,7 @@ class Scene(Part):
     force_fields: ForceFields | None = None
     wrap: Wrap | None = Field(default=None, description="film around load and pallet; absent: none")
     accelerometer: Accelerometer | None = None
+    camera: Camera | None = Field(default=None, description="the bench's camera; absent: no picture is drawn")
     limits: Limits = Limits()
     sampling: Sampling = Sampling()
     solver: Solver = Solver()
@@ -312,6 +318,14 @@ class Scene(Part):
     @model_validator(mode="after")
     def _step_fits_the_samples(self) -> Self:
         self.steps_and_samples()
+        return self
+
+    @model_validator(mode="after")
+    def _pictures_fall_on_frames(self) -> Self:
+        if self.camera is not None and self.sampling.poses_hz % self.camera.rate_hz:
+            raise ValueError(
+                f"camera.rate_hz {self.camera.rate_hz} must divide sampling.poses_hz {self.sampling.poses_hz}"
+            )
         return self
 
     def steps_and_samples(self) -> tuple[int, int]:
@@ -397,6 +411,21 @@ class Scene(Part):
             return None
         named = {frozenset(pair.between): pair.friction for pair in self.surfaces.pairs}
         return film_properties(self.wrap, named=named)
+
+    @property
+    def film_spacing_m(self) -> float:
+        """Spacing of the film's mesh in use, where there is film [m].
+
+        Raises:
+            TypeError: the load still stands in a palletising file.
+        """
+        assert self.wrap is not None
+        if self.wrap.spacing_m is not None:
+            return self.wrap.spacing_m
+        deck = self.pallet_box.size_m[2] if self.pallet_box is not None else 0.0
+        top = max((p.position_m[2] + 0.5 * p.size_m[2] for p in self.packages), default=deck)
+        lower, upper = film_span(self.wrap, deck_m=deck, top_m=top)
+        return default_spacing_m(upper - lower)
 
     def to_json(self) -> str:
         """The scene as compact JSON, the same bytes for the same scene."""

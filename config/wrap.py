@@ -32,6 +32,8 @@ from config.part import Part
 FORCE_WIDTH_M = 0.5
 """Wrap forces are those of this width of one layer: the common web."""
 
+DEFAULT_SPACING_M, LEAST_SPACING_M, LEAST_ROWS = 0.1, 0.02, 8
+
 TurnCount = Annotated[float, Field(ge=0.0, le=200.0, strict=True)]
 
 
@@ -323,6 +325,11 @@ def film_span(wrap: Wrap, *, deck_m: float, top_m: float) -> tuple[float, float]
     """
     upper = top_m if wrap.height_m is None else min(top_m, deck_m + wrap.height_m)
     return max(0.0, deck_m - wrap.pallet_overlap_m), upper
+
+
+def default_spacing_m(height_m: float) -> float:
+    """Spacing of the mesh of a film of some height [m]: 0.1 m, and for a low load eight rows of it."""
+    return min(DEFAULT_SPACING_M, max(LEAST_SPACING_M, height_m / LEAST_ROWS))
 
 
 def layers_at(wrap: Wrap, height_m: float, z: float) -> float:

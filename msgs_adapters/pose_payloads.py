@@ -72,6 +72,9 @@ def pose_frame_from_payload(payload: bytes, index: int) -> PoseFrame:
         raise BrokenRecording("packages/poses", payload[:16].hex(), "is not a PoseArray") from None
     if frame_id != SLED_FRAME:
         raise BrokenRecording("packages/poses.header.frame_id", frame_id, f"must be '{SLED_FRAME}'")
+    if not np.isfinite(poses).all():
+        pose = int(np.flatnonzero(~np.isfinite(poses).all(axis=1))[0])
+        raise BrokenRecording(f"packages/poses.poses[{pose}]", poses[pose].tolist(), "must be finite")
     stamp_ns = seconds * 1_000_000_000 + nanoseconds
     return PoseFrame(index, stamp_ns, poses[:, :3].astype(np.float64), poses[:, 3:].astype(np.float64))
 

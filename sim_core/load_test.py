@@ -112,6 +112,10 @@ class LoadTest:
         self._groups_a_lookout = max(
             1, round(IMPACT_LOOKOUT_S * scene.sampling.samples_hz / self._samples_a_group)
         )
+        # Where frames come more often than blows are looked for: so many frames a look.
+        self._frames_a_lookout = max(1, round(IMPACT_LOOKOUT_S * scene.sampling.poses_hz))
+        self._frames_to_give = 0
+        self._film_lost_j = 0.0
         self._split = 1
         self._steps_then = (self._step_s, self._split)
         self.impact_steps = 0
@@ -331,6 +335,17 @@ class LoadTest:
             for change in ahead:
                 for _ in range(steps):
                     self._step(change / steps)
+            if start + self._groups_a_lookout < len(groups):
+                self._let_film_give()
+
+    def _let_film_give(self) -> None:
+        """Lets the film flow and tear where it is overloaded; what it loses is told at the next frame."""
+        if self._film is None or self._film.is_gone:
+            return
+        if not self._film_holds:
+            self._film.wrenches(*self.engine.poses())
+        if not self._film.is_lost:
+            self._film_lost_j += self._film.commit()
 
     def _split_before_impacts(self, ahead_s: float) -> None:
         split = self._impacts.substeps(
@@ -393,18 +408,22 @@ class LoadTest:
         self._since_ledger = []
 
     def _follow_film(self) -> None:
-        """Lets the film flow and tear where it is overloaded, once a frame: tears run a ring of elements a frame."""
+        """Looks at the film, and lets go of one that cannot matter any more."""
         assert self._film is not None and self._film_watch is not None
         if self._film.is_gone:
             return
         time_s = self.time_s + 1.0 / self.scene.sampling.poses_hz
         positions, orientations = self.engine.poses()
-        if not self._film_holds:
-            self._film.wrenches(positions, orientations)
+        # Tears run a ring of elements each time, so how often that is must not be a matter of publishing.
+        self._frames_to_give -= 1
+        if self._frames_to_give <= 0:
+            self._let_film_give()
+            self._frames_to_give = self._frames_a_lookout
         if self._film.is_lost:
             self._film_watch.note_tears(time_s)
         else:
-            self._film_watch.take(time_s, self._film.commit())
+            self._film_watch.take(time_s, self._film_lost_j)
+            self._film_lost_j = 0.0
         stands = self._impacts.standing(positions, rotation_matrices(orientations)).all()
         if not stands or (self._film.is_lost and self._film.film.torn.any()):
             # Rule (iv) is broken: what torn film, or film on packages that lie about, does costs most and changes
@@ -427,13 +446,14 @@ class LoadTest:
         self.engine.restore(self._snapshot)
         if self._film is not None:
             self._film.restore(self._film_then)
+            if self._film_watch is not None and not self._film.is_gone:
+                self._film_watch.summary.let_go_s = None
         self._set_step(halved_s, self._split)
         self._monitors.forget_recent()
         self._ledger, self._since_ledger = self._ledger_then, self._since_snapshot
         for changes in self._since_snapshot:
             self._advance(changes)
-            if self._film is not None and not self._film.is_lost:
-                self._film.commit()
+            self._let_film_give()
 
     def _build_fields(self) -> PerimeterForceFields | None:
         if self.scene.force_fields is None or not self.scene.packages:

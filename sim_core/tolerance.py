@@ -99,7 +99,7 @@ def run_to_tolerance(
         refinements.append(f"1/{1.0 / result.smallest_step_s:.0f} s: {error_mm:.2g} mm")
         coarse = _answer(scene, result)
         scene, result = finer, attempt(finer)
-        estimate = compared(coarse, scene.time_step_s, worst_by_rule(result.judged), result.smallest_step_s)
+        estimate = compared(coarse, scene, worst_by_rule(result.judged), result.smallest_step_s)
         left_mm = error_that_matters(result.judged["rules"], estimate)
         if left_mm is not None and left_mm > SHRINKS * error_mm:
             break

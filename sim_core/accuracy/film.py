@@ -19,6 +19,7 @@ import numpy as np
 
 from config.errors import PalletTwinError
 from config.scene import DEFAULT_TIME_STEP_S, Scene
+from config.wrap import DEFAULT_SPACING_M
 from sim_core.accuracy.cases import Track
 from sim_core.accuracy.film_strip import StripPoint, strip_errors
 from sim_core.accuracy.sweep import Progress, Setting
@@ -26,7 +27,7 @@ from sim_core.accuracy.wrapped_loads import Load, case_name, wrapped_scene
 from sim_core.load_test import LoadTest
 from sim_core.report import versions
 from sim_core.work_precision import SpacingRow
-from sim_core.wrap.load_film import DEFAULT_SPACING_M, TOLERANCE
+from sim_core.wrap.load_film import TOLERANCE
 
 FORMAT = 1
 """Version of the rows on disk; raise it when a row's fields or their meaning change."""

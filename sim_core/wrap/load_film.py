@@ -46,7 +46,6 @@ from sim_core.wrap.film import Film, make_film, plane_stress_stiffness
 from sim_core.wrap.fit import find_sides, fit_film, flattened, solid_boxes, unrolled
 from sim_core.wrap.membrane import Flags, Indices, membrane_forces, tear_film, yield_film
 
-DEFAULT_SPACING_M = 0.1
 STILL_M = 1.0e-7
 """Bodies that have moved by less since the last answer get it again, or by less than changes it by the tolerance."""
 TOLERANCE = 3.0e-3
@@ -90,7 +89,7 @@ class LoadFilm:
         scene: a resolved scene with a wrap around packages.
         positions: settled centres [m], shape [package_count + 1, 3], row 0 the pallet.
         orientations: settled unit quaternions x, y, z, w, shape [package_count + 1, 4].
-        spacing_m: distance of rows and columns of the mesh [m]; else the scene's, else 0.1.
+        spacing_m: distance of rows and columns of the mesh [m]; else the scene's.
         film: one layer of film in figures; else the scene's.
         tolerance: force that may be left on a node, as a share of the pull of a row of film.
 
@@ -127,7 +126,7 @@ class LoadFilm:
         reach = np.abs(rotation_matrices(orientations)[:, 2, :] * self._half_sizes).sum(axis=1)
         top = float((positions[:, 2] + reach)[self._is_solid].max())
         lower, upper = film_span(wrap, deck_m=deck, top_m=top)
-        spacing = spacing_m or wrap.spacing_m or DEFAULT_SPACING_M
+        spacing = spacing_m or scene.film_spacing_m
         mesh = fit_film(scene, positions, orientations, span_m=(lower, upper), spacing_m=spacing)
         layers = np.array([
             np.mean([layers_at(wrap, upper - lower, z - lower) for z in np.linspace(a, b, 17)])

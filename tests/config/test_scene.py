@@ -51,7 +51,8 @@ REFUSED: list[tuple[Any, str, str]] = [
     (raw(package(yaw_deg=NAN)), "load.packages.0.yaw_deg = nan", "finite"),
     (raw(package(colour="red")), "load.packages.0.colour = red", "unknown key"),
     (raw(package(id="")), "load.packages.0.id = ", "at least 1 character"),
-    (raw(package(id="pallet")), "load = {1 keys}", "'pallet' is taken"),
+    (raw(package(id="pallet")), "load = {1 keys}", "'pallet' and 'film' are taken"),
+    (raw(package(id="film")), "load = {1 keys}", "'pallet' and 'film' are taken"),
     (raw(package(), package()), "load = {1 keys}", "'a' must be unique"),
     (raw(package(id="\ud800")), "load.packages.0.id", "unicode"),
     (raw(description="\ud800"), "description", "unicode"),
@@ -315,7 +316,7 @@ def test_the_schema_is_json_and_lists_the_parts() -> None:
     schema = json.loads(json.dumps(Scene.model_json_schema(), allow_nan=False))
     assert set(schema["properties"]) == {
         "name", "description", "load", "pallet", "surfaces", "sled", "force_fields", "accelerometer", "limits",
-        "sampling", "solver", "seed", "wrap",
+        "sampling", "solver", "seed", "wrap", "camera",
     }  # fmt: skip
     assert set(schema["required"]) == {"name", "load", "sled"}
     assert schema["additionalProperties"] is False

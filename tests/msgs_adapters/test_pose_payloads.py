@@ -24,7 +24,9 @@ TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 frames = st.builds(
     lambda stamp_ns, rows: PoseFrame(3, stamp_ns, rows[:, :3].copy(), rows[:, 3:].copy()),
     st.integers(0, MAX_STAMP_NS),
-    st.integers(0, 12).flatmap(lambda n: arrays(np.float64, (n, 7), elements=st.floats(allow_nan=False))),
+    st.integers(0, 12).flatmap(
+        lambda n: arrays(np.float64, (n, 7), elements=st.floats(allow_nan=False, allow_infinity=False))
+    ),
 )
 
 
@@ -117,3 +119,11 @@ def test_41_poses_cost_less_than_a_third_of_a_millisecond() -> None:
         encoder.encode(frame, sled)
         costs.append(time.perf_counter() - start)
     assert min(costs) < 0.3e-3
+
+
+def test_place_that_is_no_number_is_refused_by_its_row() -> None:
+    positions, orientations = np.zeros((3, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
+    positions[2, 1] = np.nan
+    payload = pose_array_payload(PoseFrame(0, 10**9, positions, orientations))
+    with pytest.raises(BrokenRecording, match=r"packages/poses\.poses\[2\] = .*nan.*: must be finite"):
+        pose_frame_from_payload(payload, 0)
