@@ -114,7 +114,7 @@ class LoadTest:
         )
         # Where frames come more often than blows are looked for: so many frames a look.
         self._frames_a_lookout = max(1, round(IMPACT_LOOKOUT_S * scene.sampling.poses_hz))
-        self._frames_to_give = 0
+        self._frames_to_give = self._frames_a_lookout
         self._film_lost_j = 0.0
         self._split = 1
         self._steps_then = (self._step_s, self._split)

@@ -20,6 +20,8 @@ EDGE_MARGIN_M = 2.0e-3
 ON_HULL_M = 1.0e-9
 BULGE_M = 1.0e-3
 """Corners that stand out from the line between their neighbours by less bend no film."""
+LEAST_HEIGHT_M = 1.0e-3
+"""Less film wraps nothing."""
 SAME_LEVEL = 0.2
 """Tops and bottoms of boxes that are nearer to each other than this share of the spacing are one level."""
 RELIEF = 0.2
@@ -75,13 +77,13 @@ def fit_film(
         spacing_m: distance of rows and columns, about [m].
 
     Raises:
-        RefusedInput: the film would be no higher than a hundredth of its spacing.
+        RefusedInput: the film would be no higher than a millimetre.
     """
     half_sizes, is_solid = solid_boxes(scene)
     corners = box_corners(positions, orientations, half_sizes)
     low = span_m[0]
     high = min(span_m[1], float(corners[is_solid][:, :, 2].max()) - EDGE_MARGIN_M)
-    if not high - low > 0.01 * spacing_m:
+    if not high - low > LEAST_HEIGHT_M:
         raise RefusedInput("wrap.height_m", f"{high - low:.4g} m of film", "is too little to wrap anything")
     heights = _row_heights(corners[is_solid], low, high, spacing_m)
     outlines = [_outline(corners, is_solid, z) for z in heights]

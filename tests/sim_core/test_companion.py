@@ -8,7 +8,15 @@ import pytest
 
 from config.scene import Scene
 from config.scene_file import find_scene, read_scene
-from sim_core.companion import Companion, CrossCheck, companion_scenes, floor_mm
+from sim_core.companion import (
+    Answer,
+    Companion,
+    CrossCheck,
+    companion_scenes,
+    compared,
+    floor_mm,
+    held_share,
+)
 from sim_core.report import judgement, worst_by_rule
 from sim_core.run import run_test
 
@@ -113,3 +121,21 @@ def test_a_different_state_is_a_disagreement() -> None:
     checked = CrossCheck(scene).compare(rules)
     assert not checked["agrees"]
     assert [entry["agrees"] for entry in checked["rules"] if entry["rule"] == "damage"] == [True]
+
+
+def test_load_held_by_film_is_never_known_better_than_its_mesh() -> None:
+    scene = read_scene(find_scene("eur_wrap_lldpe"), ["solver.engine=mujoco"])
+    same = Answer({"elastic": 30.0}, {}, 2.0 * scene.time_step_s, None, 2.0 * scene.time_step_s)
+    share = 0.075
+    for overrides, expected in (
+        ([], share),
+        (["wrap.spacing_m=0.025"], 0.5 * share),
+        # A film that only follows holds nothing.
+        (['wrap.coupling="one_way"'], 0.0),
+    ):
+        held = read_scene(find_scene("eur_wrap_lldpe"), ["solver.engine=mujoco", *overrides])
+        assert held_share(held) == pytest.approx(expected)
+        estimate = compared(same, held, {"elastic": 30.0}, scene.time_step_s)
+        assert estimate.by_rule_mm["elastic"] == pytest.approx(
+            max(30.0 * expected, floor_mm(scene.time_step_s))
+        )

@@ -10,6 +10,7 @@ from sim_core.accuracy.cases import cartons_scene
 from sim_core.judge import EumosJudge
 from sim_core.load_test import LoadTest
 from sim_core.sled import sled_samples
+from sim_core.stress import all_rows
 
 FILM = {"material": "stretch_film_20", "turns": 6}
 
@@ -112,3 +113,26 @@ def test_pulls_sum_to_nothing(wrapped: tuple[LoadTest, EumosJudge]) -> None:
     moment = (torques + np.cross(places, forces)).sum(axis=0)
     assert np.abs(forces.sum(axis=0)).max() < 1.0e-9 * np.abs(forces).max()
     assert np.abs(moment).max() < 1.0e-6 * np.abs(forces).max()
+
+
+@pytest.mark.parametrize("poses_hz", [30, 480])
+def test_how_often_poses_are_published_changes_nothing(poses_hz: int) -> None:
+    # The film of this band is drawn further, so when it flows decides the path.
+    row = next(row for row in all_rows() if row.id == "film_flows")
+    (usual,) = row.scenes("mujoco")
+    sampling = usual.sampling.model_copy(update={"poses_hz": poses_hz})
+    ends = []
+    for scene in (usual, usual.model_copy(update={"sampling": sampling})):
+        test = LoadTest(scene)
+        frames = {round(frame.stamp_ns / 1.0e6): frame.positions[1:, 0] for frame in test.frames()}
+        test.close()
+        ends.append(frames)
+    shared = sorted(set(ends[0]) & set(ends[1]))
+    ways = np.array([ends[0][at] for at in shared])
+    apart = np.abs(ways - [ends[1][at] for at in shared]).max(axis=1)
+    opening = np.abs(ways - ways[0]).max(axis=1)
+    widest = int(opening.argmax())
+    # Where the boxes meet again, looks for blows split steps, and these looks begin anew with every frame.
+    assert opening[widest] > 0.4
+    # As near as a step of 0.3/ω keeps the peak of a spring.
+    assert apart[: widest + 1].max() < 0.01 * opening[widest]
