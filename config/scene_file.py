@@ -62,6 +62,18 @@ def read_scene(path: Path, overrides: Sequence[str] = ()) -> Scene:
     return resolve_scene(validate_scene(raw), path.parent)
 
 
+def overridden(scene: Scene, overrides: Sequence[str]) -> Scene:
+    """A resolved scene with some values changed, as ``--set`` changes them.
+
+    Raises:
+        RefusedInput: an override cannot be used.
+    """
+    raw = json.loads(scene.to_json())
+    for override in overrides:
+        _apply_override(raw, override)
+    return validate_scene(raw)
+
+
 def validate_scene(raw: object) -> Scene:
     """Builds the scene model.
 

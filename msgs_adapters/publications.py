@@ -3,7 +3,11 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+
 from config.scene import Scene
+from msgs_adapters.camera_payloads import Calibration, camera_info_payload, image_payload, jpeg_payload
 from msgs_adapters.cdr import serialize
 from msgs_adapters.colours import full_strain
 from msgs_adapters.convert import to_accel, to_diagnostics, to_imu, to_markers, to_odometry, to_string
@@ -13,6 +17,9 @@ from msgs_adapters.pose_payloads import pose_array_payload
 from msgs_adapters.robot_description import robot_description
 from msgs_adapters.stamps import to_clock
 from msgs_adapters.topics import (
+    CAMERA_COMPRESSED,
+    CAMERA_IMAGE,
+    CAMERA_INFO,
     CLOCK,
     EUMOS_REPORT,
     EUMOS_STATUS,
@@ -23,6 +30,8 @@ from msgs_adapters.topics import (
     SLED_ACCELERATION,
     SLED_ACCELEROMETER,
     SLED_ODOMETRY,
+    VISION_DISPLACEMENT,
+    VISION_REPORT,
     WRAP_MESH,
     WRAP_STRAIN,
     Topic,
@@ -98,6 +107,39 @@ def film_markers_publication(frame: FilmFrame, scene: Scene) -> Publication:
     """The film as a mesh coloured by strain, of a scene that has one."""
     assert scene.film is not None
     return Publication(WRAP_MESH, frame.stamp_ns, film_mesh_payload(frame, full_strain(scene.film.around)))
+
+
+def camera_topics(scene: Scene) -> tuple[Topic, ...]:
+    """What is recorded of the camera in this scene."""
+    if scene.camera is None:
+        return ()
+    vision = (VISION_DISPLACEMENT, VISION_REPORT) if scene.camera.measure else ()
+    return (CAMERA_INFO, CAMERA_IMAGE if scene.camera.record == "raw" else CAMERA_COMPRESSED, *vision)
+
+
+def camera_info_publication(stamp_ns: int, calibration: Calibration) -> Publication:
+    """The calibration, with every picture."""
+    return Publication(CAMERA_INFO, stamp_ns, camera_info_payload(stamp_ns, calibration))
+
+
+def image_publication(stamp_ns: int, pixels: NDArray[np.uint8]) -> Publication:
+    """A picture as it is."""
+    return Publication(CAMERA_IMAGE, stamp_ns, image_payload(stamp_ns, pixels))
+
+
+def jpeg_publication(stamp_ns: int, jpeg: bytes) -> Publication:
+    """A picture as JPEG."""
+    return Publication(CAMERA_COMPRESSED, stamp_ns, jpeg_payload(stamp_ns, jpeg))
+
+
+def displacement_publication(stamp_ns: int, payload: bytes) -> Publication:
+    """What was measured in a picture, see ``vision_payloads``."""
+    return Publication(VISION_DISPLACEMENT, stamp_ns, payload)
+
+
+def vision_report_publication(stamp_ns: int, report_json: str) -> Publication:
+    """The judgement from the pictures alone."""
+    return Publication(VISION_REPORT, stamp_ns, serialize(to_string(report_json)))
 
 
 def rules_publication(stamp_ns: int, rules: list[RuleState]) -> Publication:

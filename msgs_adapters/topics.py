@@ -12,6 +12,7 @@ TWIN_NAMESPACE = "/twin"
 WORLD_FRAME = "world"
 SLED_FRAME = "sled"
 PALLET_FRAME = "pallet"
+CAMERA_FRAME = "camera_optical"
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,9 @@ LATCHED = QosSpec(durability="transient_local", depth=1)
 # Views may lose frames, and 5000 marker arrays of a large load would be 80 MB.
 VIEW = QosSpec(depth=100)
 STATUS = QosSpec(depth=100)
+# Ten seconds at 30 Hz; a raw picture of 1080p takes 6 MB, and the sender keeps what a slow reader hasn't taken.
+PICTURES = QosSpec(depth=300)
+RAW_PICTURES = QosSpec(depth=60)
 
 
 @dataclass(frozen=True)
@@ -68,6 +72,12 @@ PHYSICS_PROGRESS = Topic("physics/progress", "diagnostic_msgs/msg/DiagnosticStat
 DIAGNOSTICS = Topic("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", STATUS)
 EUMOS_STATUS = Topic("eumos/status", "diagnostic_msgs/msg/DiagnosticArray", STATUS)
 EUMOS_REPORT = Topic("eumos/report", "std_msgs/msg/String", LATCHED)
+CAMERA_IMAGE = Topic("camera/image_raw", "sensor_msgs/msg/Image", RAW_PICTURES)
+CAMERA_COMPRESSED = Topic("camera/image_raw/compressed", "sensor_msgs/msg/CompressedImage", PICTURES)
+CAMERA_INFO = Topic("camera/camera_info", "sensor_msgs/msg/CameraInfo", PICTURES)
+CAMERA_PROGRESS = Topic("camera/progress", "diagnostic_msgs/msg/DiagnosticStatus", STATUS)
+VISION_DISPLACEMENT = Topic("vision/displacement", "sensor_msgs/msg/PointCloud2", PICTURES)
+VISION_REPORT = Topic("vision/report", "std_msgs/msg/String", LATCHED)
 # Only in bags: the wheels hold no tf2_msgs.
 TF = Topic("/tf", "tf2_msgs/msg/TFMessage", STREAM)
 
@@ -86,6 +96,12 @@ ALL_TOPICS = (
     DIAGNOSTICS,
     EUMOS_STATUS,
     EUMOS_REPORT,
+    CAMERA_IMAGE,
+    CAMERA_COMPRESSED,
+    CAMERA_INFO,
+    CAMERA_PROGRESS,
+    VISION_DISPLACEMENT,
+    VISION_REPORT,
     TF,
 )
 

@@ -13,6 +13,9 @@ from config.scene_file import scene_from_json
 from msgs_adapters.convert import motion_from_odometry
 from msgs_adapters.pose_payloads import pose_frame_from_payload
 from msgs_adapters.topics import (
+    CAMERA_COMPRESSED,
+    CAMERA_IMAGE,
+    CAMERA_INFO,
     CLOCK,
     PACKAGES_POSES,
     SCENE,
@@ -29,6 +32,8 @@ from recordings.bag_writer import BagWriter
 from recordings.test_bag import TransformTrack, attach_scene
 
 QUEUE_LIMIT = 200_000
+QUEUE_BYTES = 512 * 2**20
+"""What may wait for the disk: 200,000 messages of a bench, or 80 raw pictures of 1080p."""
 FLUSH_PERIOD_S = 0.5
 STAMPED_TYPES = frozenset(
     {
@@ -37,6 +42,9 @@ STAMPED_TYPES = frozenset(
         "geometry_msgs/msg/PoseArray",
         "sensor_msgs/msg/Imu",
         "sensor_msgs/msg/PointCloud2",
+        "sensor_msgs/msg/Image",
+        "sensor_msgs/msg/CompressedImage",
+        "sensor_msgs/msg/CameraInfo",
         "visualization_msgs/msg/Marker",
         "nav_msgs/msg/Odometry",
         "diagnostic_msgs/msg/DiagnosticArray",
@@ -65,6 +73,7 @@ class GraphRecorder:
         self._writer = BagWriter(directory)
         self._names = {topic: self._writer.add_topic(topic, namespace=namespace) for topic in (*topics, TF)}
         self._queue: queue.Queue[tuple[Topic, bytes] | None] = queue.Queue(QUEUE_LIMIT)
+        self._room, self._queued_bytes = threading.Condition(), 0
         self._waiting: list[tuple[Topic, bytes]] = []
         self._now_ns: int | None = None
         self._scene_json: str | None = None
@@ -83,6 +92,9 @@ class GraphRecorder:
         """Queues one message; waits where the disk is that far behind."""
         self.received[topic.name] += 1
         self.last_arrival = time.monotonic()
+        with self._room:
+            self._room.wait_for(lambda: self._queued_bytes < QUEUE_BYTES)
+            self._queued_bytes += len(payload)
         self._queue.put((topic, payload))
 
     @property
@@ -104,6 +116,9 @@ class GraphRecorder:
     def _write_all(self) -> None:
         flushed = time.monotonic()
         while (entry := self._queue.get()) is not None:
+            with self._room:
+                self._queued_bytes -= len(entry[1])
+                self._room.notify()
             if self.error is not None:
                 continue
             try:
@@ -175,6 +190,8 @@ def regular_rates_hz(scene: Scene) -> dict[Topic, float]:
         rates[SLED_ACCELEROMETER] = scene.accelerometer.rate_hz
     if scene.film is not None:
         rates[WRAP_STRAIN] = scene.sampling.poses_hz / scene.sampling.frames_a_film_frame
+    if scene.camera is not None:
+        rates |= dict.fromkeys((CAMERA_COMPRESSED, CAMERA_IMAGE, CAMERA_INFO), float(scene.camera.rate_hz))
     return rates
 
 

@@ -4,12 +4,20 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
+import numpy as np
+from numpy.typing import NDArray
+
 from config.scene import Scene
+from msgs_adapters.camera_payloads import Calibration
 from msgs_adapters.pose_payloads import TransformEncoder
 from msgs_adapters.publications import (
     Publication,
+    camera_info_publication,
+    camera_topics,
     film_publication,
     frame_publication,
+    image_publication,
+    jpeg_publication,
     reading_publication,
     report_publication,
     rules_publication,
@@ -37,7 +45,10 @@ TRANSFORMS_HZ = 60
 def recorded_topics(scene: Scene) -> tuple[Topic, ...]:
     """What a bag of this scene holds, ``/tf`` aside."""
     film = (WRAP_STRAIN,) if scene.film is not None else ()
-    return (*sled_topics(scene), SCENE, ROBOT_DESCRIPTION, PACKAGES_POSES, *film, EUMOS_STATUS, EUMOS_REPORT)
+    return (
+        *sled_topics(scene), SCENE, ROBOT_DESCRIPTION, PACKAGES_POSES, *film, *camera_topics(scene), EUMOS_STATUS,
+        EUMOS_REPORT,
+    )  # fmt: skip
 
 
 class TransformTrack:
@@ -125,6 +136,19 @@ class TestBag:
     def on_film(self, frame: FilmFrame) -> None:
         """See ``TestObserver``."""
         self._write(film_publication(frame))
+
+    def add_picture(
+        self, stamp_ns: int, pixels: NDArray[np.uint8], jpeg: bytes, calibration: Calibration
+    ) -> None:
+        """Takes a picture of the scene's camera, as pixels and as JPEG, taken at a stamp [ns]."""
+        assert self._scene.camera is not None
+        self._write(camera_info_publication(stamp_ns, calibration))
+        is_raw = self._scene.camera.record == "raw"
+        self._write(image_publication(stamp_ns, pixels) if is_raw else jpeg_publication(stamp_ns, jpeg))
+
+    def add(self, publication: Publication) -> None:
+        """Takes any other message of the test."""
+        self._write(publication)
 
     def on_rules(self, stamp_ns: int, rules: list[RuleState]) -> None:
         """See ``TestObserver``."""

@@ -73,6 +73,13 @@ def run(
         typer.Option("--cross-check", help="Run it on the other engine too, and say whether the two agree."),
     ] = False,
     page: PageOption = True,
+    video: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Where the camera's video goes, an .mp4. Default: OUT/video.mp4, with a camera.",
+        ),
+    ] = None,
     overwrite: OverwriteOption = False,
     require: RequireOption = None,
     as_json: JsonOption = False,
@@ -91,7 +98,7 @@ def run(
     require_estimate(loaded, estimate)
     if cross_check and find_spec("mujoco") is None:
         raise RefusedInput("--cross-check", "mujoco", "is not installed: pip install 'pallet-twin[mujoco]'")
-    where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag, with_page=page)
+    where = make_folder(loaded, out, overwrite=overwrite, with_bag=bag, with_page=page, video=video)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_headless(
             loaded, where, with_estimate=estimate, cross_check=cross_check, on_progress=on_progress
@@ -114,6 +121,12 @@ def up(
     set_: SetOption = None,
     estimate: EstimateOption = True,
     page: PageOption = True,
+    pictures: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="BAG", help="The camera shows the pictures of this bag of the same test, and draws none."
+        ),
+    ] = None,
     overwrite: OverwriteOption = False,
     discovery: Annotated[
         Literal["localhost", "subnet"],
@@ -142,6 +155,8 @@ def up(
     require_estimate(loaded, estimate)
     if record is not None and no_record:
         raise RefusedInput("--record", str(record), "contradicts --no-record")
+    if pictures is not None and loaded.camera is None:
+        raise RefusedInput("--pictures", str(pictures), "needs a camera in the scene")
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record, with_page=page)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_graph(
@@ -151,6 +166,7 @@ def up(
             discovery=discovery,
             with_estimate=estimate,
             guests=guests,
+            pictures=pictures,
             on_progress=on_progress,
         )
     output.finish(outcome, as_json=as_json, require=require)
@@ -188,6 +204,55 @@ def judge(
     else:
         output.show_rules(report)
     output.meet(require, report)
+
+
+@app.command()
+def measure(
+    bag: Annotated[
+        Path, typer.Argument(metavar="BAG", help="A bag directory or an .mcap file with pictures.")
+    ],
+    video: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write an .mp4 with the displacement drawn in as red lines."),
+    ] = None,
+    require: RequireOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Measure displacement from a recording's pictures alone, beside the truth where the bag has poses.
+
+    Example: `pallet-twin measure runs/eur_camera_markers/bag --video measured.mp4`.
+    """
+    from recordings.measure_bag import measure_bag
+
+    with output.counter("pictures", quiet=as_json) as count:
+        measured = measure_bag(bag, video=video, on_picture=count)
+    output.show_measured(measured, video, as_json=as_json)
+    output.meet(require, measured.entry)
+
+
+@app.command()
+def render(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A bag directory or an .mcap file.")],
+    out: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for bag and video. Default: runs/NAME-render.")
+    ] = None,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="KEY=VALUE", help="Of the camera, e.g. camera.distance_m=6. May be repeated."
+        ),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Draw the pictures of a recording anew, from the same camera or another, without simulating it again.
+
+    Example: `pallet-twin render runs/eur_camera/bag --set camera.film=strain --set camera.distance_m=6`.
+    """
+    from ros_nodes.render import render_bag
+
+    with output.counter("pictures", quiet=as_json) as count:
+        drawn = render_bag(bag, out, set_ or (), on_picture=count)
+    output.show_drawn(drawn, as_json=as_json)
 
 
 @app.command()

@@ -3,22 +3,31 @@
 import itertools
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from config.errors import EndedByMonitor, RefusedInput
 from config.scene import Scene
 from sim_core.companion import Companion, CrossCheck, ErrorEstimate
 from sim_core.integrity import require_integrity
 from sim_core.report import Report, full_report, judgement, report_json, worst_by_rule, write_report
-from sim_core.run import TestResult, run_test
+from sim_core.run import TestObserver, TestResult, run_test
 from sim_core.tolerance import run_to_tolerance
 from sim_core.work_precision import with_setting
 
-RESULT_NAMES = {"bag", "report.json", "report.html", "report.json.part", "report.html.part"}
+if TYPE_CHECKING:
+    from msgs_adapters.publications import Publication
+    from recordings.live_measurement import LiveMeasurement
+    from recordings.test_bag import TestBag
+    from sim_core.camera.source import Picture
+
+RESULT_NAMES = {
+    "bag", "report.json", "report.html", "video.mp4", "report.json.part", "report.html.part", "video.mp4.part",
+}  # fmt: skip
 OnProgress = Callable[[float, dict[str, str]], None]
 
 
@@ -31,6 +40,7 @@ class TestFolder:
         report: ``report.json``.
         page: ``report.html``, or None when none was asked for.
         bag: the bag's directory, or None when nothing was recorded.
+        video: the video of the scene's camera, or None when none is made.
     """
 
     __test__ = False
@@ -39,6 +49,7 @@ class TestFolder:
     report: Path
     page: Path | None
     bag: Path | None
+    video: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -60,21 +71,28 @@ def make_folder(
     with_bag: bool,
     bag: Path | None = None,
     with_page: bool = True,
+    video: Path | None = None,
 ) -> TestFolder:
     """Makes the folder of a test: ``out``, or the first free one of ``runs/NAME``, ``runs/NAME-2`` and so on.
 
     Raises:
-        RefusedInput: the folder exists and is not empty, or cannot be made.
+        RefusedInput: the folder exists and is not empty, or cannot be made; a video of a scene without a camera.
     """
+    if video is not None and scene.camera is None:
+        raise RefusedInput("--video", str(video), "needs a camera in the scene, such as --set camera={}")
+    if video is not None and video.suffix.lower() != ".mp4":
+        raise RefusedInput("--video", str(video), "must end in .mp4")
     try:
         if bag is not None and (bag.is_file() or (bag.is_dir() and any(bag.iterdir()))):
             raise RefusedInput("--record", str(bag), "must be a new or an empty folder")
-        folder = _claim(out, overwrite) if out is not None else _claim_free(Path("runs") / scene.name)
     except OSError as error:
-        raise RefusedInput("--out", str(out or "runs"), error.strerror or "cannot be made") from None
+        raise RefusedInput("--record", str(bag), error.strerror or "cannot be made") from None
+    folder = claim_folder(out, scene.name, overwrite=overwrite)
     where = bag if bag is not None else folder / "bag"
     page = folder / "report.html" if with_page else None
-    return TestFolder(folder, folder / "report.json", page, where if with_bag else None)
+    if video is None and scene.camera is not None:
+        video = folder / "video.mp4"
+    return TestFolder(folder, folder / "report.json", page, where if with_bag else None, video)
 
 
 @dataclass(frozen=True)
@@ -83,6 +101,7 @@ class _Attempt:
 
     result: TestResult
     judged: Report
+    seen: "_Seen | None"
 
     @property
     def smallest_step_s(self) -> float:
@@ -107,11 +126,19 @@ def run_headless(
         RefusedInput: the load fails its integrity check, or a tolerance is to be kept without an estimate.
     """
     other = CrossCheck(with_setting(scene)[0]) if cross_check and scene.packages else None
+    # Pictures cost more than physics: none are taken of attempts that only look for the setting.
+    is_planned = scene.camera is not None and scene.solver.tolerance_mm is not None
+    attempt = partial(_attempt, bag=where.bag, on_progress=on_progress)
     try:
         refined = run_to_tolerance(
-            scene, partial(_attempt, bag=where.bag, on_progress=on_progress), with_estimate=with_estimate
+            scene,
+            partial(_attempt, bag=None, with_camera=False, on_progress=on_progress)
+            if is_planned
+            else attempt,
+            with_estimate=with_estimate,
         )
-        result, judged = refined.result.result, refined.result.judged
+        last = attempt(refined.scene) if is_planned else refined.result
+        result, judged = last.result, last.judged
         checked = other.compare(judged["rules"]) if other is not None else None
     except BaseException:
         if other is not None:
@@ -123,23 +150,81 @@ def run_headless(
     )  # fmt: skip
     if checked is not None:
         report["cross_check"] = checked
-    _write(report, refined.scene, where)
+    seen = last.seen
+    if seen is not None:
+        report |= {"vision": seen.measured} if seen.measured is not None else {}
+        _write(report, refined.scene, where, seen.pictures, seen.taker.source.described)
+    else:
+        _write(report, refined.scene, where)
     return TestOutcome(report, where, result.ended_by)
 
 
-def _attempt(scene: Scene, *, bag: Path | None, on_progress: OnProgress | None) -> _Attempt:
-    if bag is None:
-        result = run_test(scene, on_progress=on_progress)
-        return _Attempt(result, judgement(scene, result.judge, is_complete=result.ended_by is None))
-    from recordings.test_bag import TestBag
+def _attempt(
+    scene: Scene, *, bag: Path | None, with_camera: bool = True, on_progress: OnProgress | None
+) -> _Attempt:
+    with ExitStack() as stack:
+        observers: list[TestObserver] = []
+        recording = None
+        if bag is not None:
+            from recordings import test_bag
 
-    # What is there is a coarser attempt's.
-    shutil.rmtree(bag, ignore_errors=True)
-    with TestBag(bag, scene) as recording:
-        result = run_test(scene, observers=[recording], on_progress=on_progress)
+            # What is there is a coarser attempt's.
+            shutil.rmtree(bag, ignore_errors=True)
+            recording = stack.enter_context(test_bag.TestBag(bag, scene))
+            observers.append(recording)
+        seen: _Seen | None = None
+        if with_camera and scene.camera is not None:
+            seen = _Seen(scene, recording)
+            stack.callback(seen.taker.close)
+            observers.append(seen.taker)
+        result = run_test(scene, observers=observers, on_progress=on_progress)
         judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
-        recording.finish(report_json(judged, compact=True))
-    return _Attempt(result, judged)
+        if seen is not None:
+            seen.finish()
+        if recording is not None:
+            recording.finish(report_json(judged, compact=True))
+    return _Attempt(result, judged, seen)
+
+
+class _Seen:
+    """What the camera of a test in this process sees: kept as JPEG, recorded, and measured where the scene asks."""
+
+    def __init__(self, scene: Scene, recording: "TestBag | None") -> None:
+        from msgs_adapters.camera_payloads import Calibration
+        from sim_core.camera.taker import PictureTaker
+
+        assert scene.camera is not None
+        self.pictures: list[Picture] = []
+        self.measured: Report | None = None
+        self.taker = PictureTaker(scene, [self._keep])
+        self._recording = recording
+        view = self.taker.source.view
+        self._calibration = Calibration(view.width, view.height, view.matrix, view.distortion)
+        self._live: LiveMeasurement | None = None
+        if scene.camera.measure:
+            from recordings import live_measurement
+
+            self._live = live_measurement.LiveMeasurement(scene, self._calibration)
+
+    def finish(self) -> None:
+        """Judges what was measured."""
+        if self._live is not None and self.pictures:
+            self.measured, publication = self._live.finish()
+            self._record(publication)
+
+    def _keep(self, picture: "Picture") -> None:
+        from sim_core.camera.source import Picture
+
+        if self._recording is not None:
+            self._recording.add_picture(picture.stamp_ns, picture.pixels, picture.jpeg, self._calibration)
+        if self._live is not None:
+            self._record(self._live.take(picture.stamp_ns, picture.pixels)[1])
+        # As pixels they would take 6 MB each.
+        self.pictures.append(Picture(picture.index, picture.stamp_ns, jpeg=picture.jpeg))
+
+    def _record(self, publication: "Publication") -> None:
+        if self._recording is not None:
+            self._recording.add(publication)
 
 
 def run_graph(
@@ -150,6 +235,7 @@ def run_graph(
     discovery: Literal["localhost", "subnet"] = "localhost",
     with_estimate: bool = True,
     guests: int = 0,
+    pictures: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test as a node graph.
@@ -169,12 +255,14 @@ def run_graph(
     refinements: tuple[str, ...] = ()
     if scene.solver.tolerance_mm is not None:
         planned = run_to_tolerance(
-            scene, partial(_attempt, bag=None, on_progress=on_progress), with_estimate=with_estimate
+            scene,
+            partial(_attempt, bag=None, with_camera=False, on_progress=on_progress),
+            with_estimate=with_estimate,
         )
         scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements
     else:
         scene, why = with_setting(scene)
-    result = Supervisor(scene, pace, where.bag, on_progress, guests).run()
+    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures).run()
     judged = json.loads(result.judgement_json)
     if estimate is None and with_estimate and scene.packages and result.ended_by is None:
         companion = Companion(scene)
@@ -189,16 +277,61 @@ def run_graph(
     )  # fmt: skip
     if result.notes:
         report["numerics"]["pace"] = result.notes
-    _write(report, scene, where)
+    if result.measured_json is not None:
+        report["vision"] = json.loads(result.measured_json)
+    _write(report, scene, where, _recorded_pictures(scene, where.bag), "camera_node")
     return TestOutcome(report, where, result.ended_by)
 
 
-def _write(report: Report, scene: Scene, where: TestFolder) -> None:
+def _recorded_pictures(scene: Scene, bag: Path | None) -> "list[Picture]":
+    if scene.camera is None or bag is None:
+        return []
+    from recordings.bag_pictures import pictures_of_bag
+    from recordings.bag_reader import BagReader
+    from sim_core.camera.source import Picture
+
+    with BagReader(bag) as reader:
+        return [Picture(one.index, one.stamp_ns, jpeg=one.jpeg) for one in pictures_of_bag(reader)]
+
+
+def _write(
+    report: Report,
+    scene: Scene,
+    where: TestFolder,
+    pictures: "Sequence[Picture]" = (),
+    drawn_by: str = "",
+) -> None:
+    shown = None
+    if pictures and scene.camera is not None:
+        from sim_core.camera.key_pictures import key_pictures
+        from sim_core.camera.view import camera_entry
+        from sim_core.report_camera import ReportPictures
+
+        report["camera"] = {**camera_entry(scene), "pictures": len(pictures), "drawn_by": drawn_by}
+        video = None
+        if where.video is not None:
+            from sim_core.camera.video import write_video
+
+            write_video(pictures, where.video, rate_hz=scene.camera.rate_hz)
+            video = where.video.read_bytes()
+        shown = ReportPictures(key_pictures(pictures, report["rules"]), video)
     write_report(report, where.report)
     if where.page is not None:
         from sim_core.report_html import write_report_html
 
-        write_report_html(report, scene, where.page)
+        write_report_html(report, scene, where.page, pictures=shown)
+
+
+def claim_folder(out: Path | None, name: str, *, overwrite: bool = False) -> Path:
+    """Makes the folder ``out``, or the first free one of ``runs/NAME``, ``runs/NAME-2`` and so on.
+
+    Raises:
+        RefusedInput: the folder exists and is not empty, or cannot be made.
+    """
+    try:
+        return _claim(out, overwrite) if out is not None else _claim_free(Path("runs") / name)
+    except OSError as error:
+        raise RefusedInput("--out", str(out or "runs"), error.strerror or "cannot be made") from None
 
 
 def _claim(folder: Path, overwrite: bool) -> Path:

@@ -15,12 +15,14 @@ from rich.text import Text
 
 from config.scene import Scene
 from ros_nodes.one_test import OnProgress, TestOutcome
+from ros_nodes.render import Rendered
 from sim_core.integrity import Finding
 from sim_core.report import Report, report_json
 from sim_core.report_film import percent
 from sim_core.report_words import tore_film, turns_words
 
 if TYPE_CHECKING:
+    from recordings.measure_bag import MeasuredBag
     from sim_core.stress import StressResult
 
 NOT_MET = 4
@@ -49,8 +51,10 @@ def progress(scene: Scene, *, quiet: bool) -> Iterator[OnProgress | None]:
         task = bar.add_task(scene.name, total=end_s, time=0.0, rules="")
 
         def advance(time_s: float, states: dict[str, str]) -> None:
-            broken = [rule for rule, state in states.items() if state != "pass"]
+            drawn = states.get("pictures")
+            broken = [rule for rule, state in states.items() if state != "pass" and rule != "pictures"]
             rules = f"not passing: {', '.join(broken)}" if broken else ""
+            rules = f"picture {drawn}  {rules}" if drawn else rules
             bar.update(task, completed=min(time_s, end_s), time=time_s, rules=rules)
 
         yield advance
@@ -100,6 +104,7 @@ def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
         "report": str(outcome.where.report),
         "page": str(outcome.where.page) if outcome.where.page is not None else None,
         "bag": str(outcome.where.bag) if outcome.where.bag is not None else None,
+        "video": str(outcome.where.video) if "camera" in outcome.report else None,
     }
     if as_json:
         print(report_json({**outcome.report, "paths": paths}))
@@ -115,6 +120,74 @@ def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
         print(f"pallet-twin: {outcome.ended_by}", file=sys.stderr)
         sys.exit(ENDED_BY_MONITOR)
     meet(require, outcome.report)
+
+
+def show_measured(measured: "MeasuredBag", video: Path | None, *, as_json: bool) -> None:
+    """What a recording's pictures say, beside the truth where it holds poses."""
+    entry, truth = measured.entry, measured.truth
+    if as_json:
+        beside = {
+            "rms_error_mm": None,
+            "largest_error_mm": None,
+            "coverage": None,
+            "points": 0,
+            "truth": None,
+        }
+        if truth is not None:
+            beside = {
+                "rms_error_mm": truth.rms_error_mm,
+                "largest_error_mm": truth.largest_error_mm,
+                "coverage": truth.coverage,
+                "points": truth.points,
+                "truth": {"verdict": truth.verdict, "rules": truth.rules},
+            }
+        print(report_json({"name": measured.scene.name, **entry, **beside}))
+        return
+    console = Console(highlight=False)
+    console.print(
+        Text.assemble(
+            f"{measured.scene.name}, by its pictures: ",
+            (entry["verdict"].upper(), _STYLES[entry["verdict"]]),
+        )
+    )
+    true = {rule["rule"]: rule for rule in truth.rules} if truth is not None else {}
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("rule", no_wrap=True)
+    for column in ("measured mm", "± mm (95 %)", *(("true mm",) if true else ()), "limit mm"):
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("state", no_wrap=True)
+    for rule in entry["rules"]:
+        others = [_number(true[rule["rule"]]["worst_mm"], ".1f")] if true else []
+        state = rule["state"]
+        if true and true[rule["rule"]]["state"] != state:
+            state += f" (judge: {true[rule['rule']]['state']})"
+        table.add_row(
+            rule["rule"].replace("_", " "),
+            *(_number(rule[key], ".1f") for key in ("worst_mm", "error_mm")),
+            *others,
+            _number(rule["limit_mm"], ".1f"),
+            Text(state, style=_STYLES[rule["state"]]),
+        )
+    console.print(table)
+    if truth is not None:
+        print(
+            f"against the poses: RMS error {truth.rms_error_mm:.2f} mm, at most {truth.largest_error_mm:.1f} mm, over"
+            f" {truth.points} points; {100.0 * truth.coverage:.1f} % inside the stated 95 %"
+        )
+    for line in entry["unseen"]:
+        print(f"not seen: {line}")
+    if video is not None:
+        print(f"video   {video}")
+
+
+def show_drawn(drawn: Rendered, *, as_json: bool) -> None:
+    """Says what was drawn anew, and where it stands."""
+    if as_json:
+        print(report_json({**asdict(drawn), "bag": str(drawn.bag), "video": str(drawn.video)}))
+        return
+    print(f"{drawn.pictures} pictures drawn by {drawn.drawn_by}")
+    print(f"bag     {drawn.bag}")
+    print(f"video   {drawn.video}")
 
 
 def meet(require: str | None, report: Report) -> None:

@@ -32,7 +32,15 @@ SILENCE_LIMIT_S = 60.0
 # The first test of a wrapped load compiles the film's kernels: about 20 s on two cores.
 SILENCE_LIMIT_WRAPPED_S = 240.0
 POLL_S = 0.02
-TWIN_NODES = {"supervisor", "sled_node", "physics_node", "validator_node", "recorder_node"}
+TWIN_NODES = {
+    "supervisor",
+    "sled_node",
+    "physics_node",
+    "validator_node",
+    "recorder_node",
+    "camera_node",
+    "vision_node",
+}
 DISCOVERY_S = 0.8
 
 
@@ -71,6 +79,7 @@ class GraphResult:
         ended_by: the monitor that ended the test, or None.
         wall_s: wall time from the first sample to the report [s].
         notes: what nodes said about falling behind or missing messages, or an empty text.
+        measured_json: what the pictures say, where the scene has them measured.
     """
 
     judgement_json: str
@@ -78,6 +87,7 @@ class GraphResult:
     ended_by: EndedByMonitor | None
     wall_s: float
     notes: str
+    measured_json: str | None = None
 
 
 def configure_middleware(discovery: Literal["localhost", "subnet"]) -> None:
@@ -101,6 +111,7 @@ class Supervisor:
         bag: directory to record into, or None.
         on_progress: called with simulated time [s] and the names and states of the rules.
         guests: readers from outside that each stream must have before the first sample.
+        pictures: bag whose pictures the camera shows, or None to draw them.
     """
 
     scene: Scene
@@ -108,11 +119,18 @@ class Supervisor:
     bag: Path | None
     on_progress: Callable[[float, dict[str, str]], None] | None = None
     guests: int = 0
+    pictures: Path | None = None
     _nodes: list[NodeProcess] = field(default_factory=list)
     _states: dict[str, str] = field(default_factory=dict)
     _report: str | None = None
     _final: Any = None
+    _has_pictures: bool = False
+    _measured: str | None = None
     _notes: str = ""
+
+    @property
+    def _measures(self) -> bool:
+        return self.scene.camera is not None and self.scene.camera.measure
 
     def run(self) -> GraphResult:
         """Runs the test to its end.
@@ -147,7 +165,15 @@ class Supervisor:
         import rclpy
         from rclpy.experimental import EventsExecutor
 
-        from msgs_adapters.topics import EUMOS_REPORT, EUMOS_STATUS, PHYSICS_PROGRESS, message_class, to_rclpy
+        from msgs_adapters.topics import (
+            CAMERA_PROGRESS,
+            EUMOS_REPORT,
+            EUMOS_STATUS,
+            PHYSICS_PROGRESS,
+            VISION_REPORT,
+            message_class,
+            to_rclpy,
+        )
 
         self._node = rclpy.create_node("supervisor", namespace=NAMESPACE)
         self._executor = EventsExecutor()
@@ -156,6 +182,8 @@ class Supervisor:
             (PHYSICS_PROGRESS, self._take_progress),
             (EUMOS_STATUS, self._take_status),
             (EUMOS_REPORT, self._take_report),
+            *([(CAMERA_PROGRESS, self._take_camera)] if self.scene.camera is not None else []),
+            *([(VISION_REPORT, self._take_measured)] if self._measures else []),
         ):
             self._node.create_subscription(
                 message_class(topic.type_name), topic.name, callback, to_rclpy(topic.qos)
@@ -199,22 +227,48 @@ class Supervisor:
         """
         recorded = [topic.name for topic in recorded_topics(self.scene)] if self.bag is not None else []
         taken_down = dict.fromkeys(recorded, 1)
-        film = {"wrap/strain": 1 + self.guests} if self.scene.film is not None else {}
+        cameras, visions = int(self.scene.camera is not None), int(self._measures)
+        film = {"wrap/strain": 1 + cameras + self.guests} if self.scene.film is not None else {}
         if self.bag is not None:
             yield "recorder_node", {"bag": str(self.bag.resolve()), "topics": ",".join(recorded)}
         yield "validator_node", {"readers": readers_text(_sum(taken_down, {"eumos/status": 1, "eumos/report": 1},
                                                               only=("eumos/status", "eumos/report")))}  # fmt: skip
         physics = _sum(
             taken_down,
-            {"packages/poses": 1 + self.guests, "physics/progress": 3, "scene": 2, **film},
+            {
+                "packages/poses": 1 + cameras + self.guests,
+                "physics/progress": 3 + cameras,
+                "scene": 2 + cameras + visions,
+                **film,
+            },
             only=("packages/poses", "physics/progress", "scene", "robot_description", *film),
         )
+        if visions:
+            said = _sum(taken_down, {"vision/report": 1}, only=("vision/displacement", "vision/report"))
+            yield "vision_node", {"readers": readers_text(said)}
+        if cameras:
+            names = ("camera/camera_info", "camera/image_raw", "camera/image_raw/compressed")
+            seen = _sum(
+                taken_down,
+                {
+                    "camera/camera_info": visions + self.guests,
+                    "camera/image_raw": visions + self.guests,
+                    "camera/image_raw/compressed": self.guests,
+                    "camera/progress": 1 + visions,
+                },
+                only=(*names, "camera/progress"),
+            )
+            pictures = str(self.pictures.resolve()) if self.pictures is not None else ""
+            yield (
+                "camera_node",
+                {"readers": readers_text(seen), "pictures": pictures, "pace": self.pace},
+            )
         yield "physics_node", {"scene_file": str(scene_file), "readers": readers_text(physics)}
         sled = _sum(
             taken_down,
             {
                 "sled/acceleration": 1 + self.guests,
-                "sled/odometry": self.guests,
+                "sled/odometry": cameras + self.guests,
                 "sled/accelerometer": self.guests,
             },
             only=("/clock", "sled/acceleration", "sled/odometry", "sled/accelerometer"),
@@ -266,11 +320,23 @@ class Supervisor:
         """Spins until the report is there."""
         limit_s = SILENCE_LIMIT_S if self.scene.film is None else SILENCE_LIMIT_WRAPPED_S
         self._heard = time.monotonic()
-        while self._report is None or self._final is None:
+        while not self._is_over():
             self._executor.spin_once(timeout_sec=POLL_S)
             self._watch()
             if time.monotonic() - self._heard > limit_s:
-                raise NodeDied("physics_node", f"no progress for {limit_s:.0f} s")
+                silent = "physics_node"
+                if self._report and self._final:
+                    silent = "vision_node" if self._has_pictures else "camera_node"
+                raise NodeDied(silent, f"no progress for {limit_s:.0f} s")
+
+    def _is_over(self) -> bool:
+        """Whether the report is there, and every picture taken and measured that the scene asks for."""
+        return (
+            self._report is not None
+            and self._final is not None
+            and (self._has_pictures or self.scene.camera is None)
+            and (self._measured is not None or not self._measures)
+        )
 
     def _watch(self) -> None:
         """Raises when a node is gone."""
@@ -342,6 +408,21 @@ class Supervisor:
         if self.on_progress is not None:
             self.on_progress(float(progress.values.get("time_s", "0")), self._states)
 
+    def _take_camera(self, message: Any) -> None:
+        from msgs_adapters.convert import progress_of
+
+        self._heard = time.monotonic()
+        progress = progress_of(message)
+        self._has_pictures = progress.finished
+        if self.on_progress is not None and self._final is not None:
+            words = f"{progress.values['pictures']} of {progress.values['of']}"
+            self.on_progress(
+                float(self._final.values.get("time_s", "0")), {**self._states, "pictures": words}
+            )
+
+    def _take_measured(self, message: Any) -> None:
+        self._measured = message.data
+
     def _take_status(self, message: Any) -> None:
         from msgs_adapters.convert import rule_states
 
@@ -362,6 +443,7 @@ class Supervisor:
             ended_by=ended_by,
             wall_s=wall_s,
             notes=self._notes,
+            measured_json=self._measured,
         )
 
 

@@ -88,7 +88,8 @@ def check_integrity(scene: Scene) -> list[Finding]:
     """Everything that is wrong or remarkable about a resolved scene's load, errors first.
 
     Raises:
-        RefusedInput: the sled's profile cannot be built, so there is nothing to test the load with.
+        RefusedInput: the sled's profile cannot be built, so there is nothing to test the load with; or the scene's
+            camera has no picture.
     """
     build_profile(scene)
     findings = [
@@ -98,6 +99,7 @@ def check_integrity(scene: Scene) -> list[Finding]:
         *_plausibility(scene),
         *_missing_friction(scene),
         *_wrap(scene),
+        *_camera(scene),
     ]
     order = {"error": 0, "warning": 1, "note": 2}
     return sorted(findings, key=lambda finding: order[finding.severity])
@@ -357,6 +359,13 @@ def _wrap(scene: Scene) -> Iterator[Finding]:
         limit = f"the lowest package is {smallest:g} m high: the mesh may miss it"
         yield Finding("warning", "wrap", "wrap.spacing_m", f"{wrap.spacing_m:g} m", limit)
     yield from _wrap_edges(scene, wrap, packages)
+
+
+def _camera(scene: Scene) -> Iterator[Finding]:
+    if scene.camera is not None:
+        from sim_core.camera.in_view import camera_findings
+
+        yield from camera_findings(scene)
 
 
 def _wrap_edges(scene: Scene, wrap: Wrap, packages: list[Package]) -> Iterator[Finding]:

@@ -7,6 +7,7 @@ from typing import Any
 from config.scene import EumosSled, Scene, StandardPallet, direction_vector
 from config.scene_file import friction_table
 from sim_core.frames import GRAVITY
+from sim_core.report_camera import ReportPictures, camera_section
 from sim_core.report_figures import Report, time_figure, travel_direction
 from sim_core.report_film import film_figure, film_map
 from sim_core.report_style import STYLE
@@ -49,15 +50,18 @@ _WRAPPED_LIMITS = (
 )
 
 
-def write_report_html(report: Report, scene: Scene, path: Path) -> None:
+def write_report_html(
+    report: Report, scene: Scene, path: Path, *, pictures: ReportPictures | None = None
+) -> None:
     """Writes the report as an HTML file, whole or not at all.
 
     Args:
         report: as made by ``sim_core.report.full_report`` or ``judgement``.
         scene: its resolved scene.
         path: file to write; one that exists is replaced.
+        pictures: what the scene's camera saw, if anything.
     """
-    content = report_html(report, scene).encode()
+    content = report_html(report, scene, pictures=pictures).encode()
     scratch = path.with_name(path.name + ".part")
     try:
         scratch.write_bytes(content)
@@ -66,18 +70,20 @@ def write_report_html(report: Report, scene: Scene, path: Path) -> None:
         scratch.unlink(missing_ok=True)
 
 
-def report_html(report: Report, scene: Scene) -> str:
+def report_html(report: Report, scene: Scene, *, pictures: ReportPictures | None = None) -> str:
     """The report as HTML: no script, nothing fetched, the same text for the same input.
 
     Args:
         report: as made by ``sim_core.report.full_report`` or ``judgement``.
         scene: its resolved scene.
+        pictures: what the scene's camera saw, if anything.
     """
     title = f"{report['name']}: {report['verdict']}"
     parts = [
         _headline(report, scene),
         _test_data(report, scene),
         _rules(report, scene),
+        camera_section(report, scene, pictures),
         _views(report, scene),
         _film(report, scene),
         _over_time(report, scene),
@@ -89,7 +95,7 @@ def report_html(report: Report, scene: Scene) -> str:
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta http-equiv="Content-Security-Policy"'
-        " content=\"default-src 'none'; style-src 'unsafe-inline'\">\n"
+        " content=\"default-src 'none'; style-src 'unsafe-inline'; img-src data:; media-src data:\">\n"
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
         '<meta name="color-scheme" content="light dark">\n'
         f"<title>{safe_text(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"

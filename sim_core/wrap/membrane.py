@@ -33,6 +33,8 @@ Flags = NDArray[np.bool_]
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
 
 SLACK, WRINKLED, TAUT = 0, 1, 2
+CHUNK = 64
+"""Elements whose forces are computed side by side."""
 FLATTEST = 1.0e-12
 """Triangles pressed flatter than this share of their size have no direction across: they push nothing there."""
 
@@ -204,28 +206,47 @@ def membrane_forces(
     """Writes the film's force on each node [N] into ``forces``, shape [n, 3], and gives its energy [J]."""
     forces[:] = 0.0
     energy = 0.0
-    for k in range(len(triangles)):
-        if torn[k]:
-            continue
-        inverse = inverse_reference[k]
-        f, g, u11, u22, u12, det = _stretch(positions, triangles[k], inverse)
-        e11, e22, e12 = (
-            u11 - 1.0 - set_strain[k, 0],
-            u22 - 1.0 - set_strain[k, 1],
-            u12 - set_strain[k, 2],
-        )
-        t11, t22, t12, density, regime = _tension(e11, e22, e12, stiffness[k])
-        if regime == SLACK:
-            continue
-        energy += area[k] * density
-        k11, k22, k12 = _second_order(t11, t22, t12, u11, u22, u12, det)
-        for row in range(3):
-            p1, p2 = area[k] * (f[row] * k11 + g[row] * k12), area[k] * (f[row] * k12 + g[row] * k22)
-            on_second = p1 * inverse[0, 0] + p2 * inverse[0, 1]
-            on_third = p1 * inverse[1, 0] + p2 * inverse[1, 1]
-            forces[triangles[k, 0], row] += on_second + on_third
-            forces[triangles[k, 1], row] -= on_second
-            forces[triangles[k, 2], row] -= on_third
+    # Shape, law and forces of some elements each in a loop of its own: the processor guesses their branches better.
+    shapes, pulls, found = np.empty((CHUNK, 10)), np.empty((CHUNK, 3)), np.empty(CHUNK, np.int64)
+    for start in range(0, len(triangles), CHUNK):
+        end = min(start + CHUNK, len(triangles))
+        for k in range(start, end):
+            f, g, u11, u22, u12, det = _stretch(positions, triangles[k], inverse_reference[k])
+            shape = shapes[k - start]
+            for row in range(3):
+                shape[row], shape[3 + row] = f[row], g[row]
+            shape[6], shape[7], shape[8], shape[9] = u11, u22, u12, det
+        count = 0
+        for k in range(start, end):
+            if torn[k]:
+                continue
+            shape = shapes[k - start]
+            e11, e22, e12 = (
+                shape[6] - 1.0 - set_strain[k, 0],
+                shape[7] - 1.0 - set_strain[k, 1],
+                shape[8] - set_strain[k, 2],
+            )
+            t11, t22, t12, density, regime = _tension(e11, e22, e12, stiffness[k])
+            if regime == SLACK:
+                continue
+            energy += area[k] * density
+            found[count] = k
+            pulls[count, 0], pulls[count, 1], pulls[count, 2] = t11, t22, t12
+            count += 1
+        for at in range(count):
+            k = found[at]
+            shape, inverse = shapes[k - start], inverse_reference[k]
+            k11, k22, k12 = _second_order(
+                pulls[at, 0], pulls[at, 1], pulls[at, 2], shape[6], shape[7], shape[8], shape[9]
+            )
+            for row in range(3):
+                f1, g1 = shape[row], shape[3 + row]
+                p1, p2 = area[k] * (f1 * k11 + g1 * k12), area[k] * (f1 * k12 + g1 * k22)
+                on_second = p1 * inverse[0, 0] + p2 * inverse[0, 1]
+                on_third = p1 * inverse[1, 0] + p2 * inverse[1, 1]
+                forces[triangles[k, 0], row] += on_second + on_third
+                forces[triangles[k, 1], row] -= on_second
+                forces[triangles[k, 2], row] -= on_third
     return energy
 
 
@@ -252,47 +273,18 @@ def assemble_tangent(
     rows, pulls, push = np.empty((4, 9)), np.empty((4, 9)), np.empty((3, 3))
     law, normal = np.empty((4, 4)), np.empty(3)
     for k in range(len(triangles)):
-        if torn[k]:
+        if torn[k] or not _element_tangent(
+            positions,
+            triangles[k],
+            inverse_reference[k],
+            stiffness[k],
+            set_strain[k],
+            rows,
+            law,
+            push,
+            normal,
+        ):
             continue
-        inverse = inverse_reference[k]
-        f, g, u11, u22, u12, det = _stretch(positions, triangles[k], inverse)
-        e11, e22, e12 = (
-            u11 - 1.0 - set_strain[k, 0],
-            u22 - 1.0 - set_strain[k, 1],
-            u12 - set_strain[k, 2],
-        )
-        t11, t22, t12, _, regime = _tension(e11, e22, e12, stiffness[k])
-        trace = u11 + u22
-        if regime == SLACK or det <= 1e-6 * trace * trace:
-            continue
-        _tension_slope(e11, e22, e12, stiffness[k], regime, law)
-        k11, k22, k12 = _second_order(t11, t22, t12, u11, u22, u12, det)
-        normal[0] = (f[1] * g[2] - f[2] * g[1]) / det
-        normal[1] = (f[2] * g[0] - f[0] * g[2]) / det
-        normal[2] = (f[0] * g[1] - f[1] * g[0]) / det
-        for i in range(3):
-            b1 = inverse[i - 1, 0] if i > 0 else -inverse[0, 0] - inverse[1, 0]
-            b2 = inverse[i - 1, 1] if i > 0 else -inverse[0, 1] - inverse[1, 1]
-            for j in range(3):
-                c1 = inverse[j - 1, 0] if j > 0 else -inverse[0, 0] - inverse[1, 0]
-                c2 = inverse[j - 1, 1] if j > 0 else -inverse[0, 1] - inverse[1, 1]
-                push[i, j] = area[k] * (b1 * (k11 * c1 + k12 * c2) + b2 * (k12 * c1 + k22 * c2))
-            for row in range(3):
-                # Columns of R = F·U⁻¹, and how fast R turns in the film's plane.
-                r1, r2 = (f[row] * u22 - g[row] * u12) / det, (g[row] * u11 - f[row] * u12) / det
-                turn = (r2 * b1 - r1 * b2) / trace
-                at = 3 * i + row
-                rows[0, at] = r1 * b1 + u12 * turn
-                rows[1, at] = r2 * b2 - u12 * turn
-                rows[2, at] = r1 * b2 + r2 * b1 + (u22 - u11) * turn
-                rows[3, at] = turn
-        # The second variation of U: T : δ²U = K : (HᵀH − δU²) with RᵀδF = H = ω·J·U + δU.
-        n11, n12 = u11 * k11 + u12 * k12, u11 * k12 + u12 * k22
-        n21, n22 = u12 * k11 + u22 * k12, u12 * k12 + u22 * k22
-        law[3, 0], law[3, 1], law[3, 2] = -n21, n12, 0.5 * (n11 - n22)
-        law[3, 3] = n11 * u11 + (n12 + n21) * u12 + n22 * u22
-        for one in range(3):
-            law[one, 3] = law[3, one]
         for at in range(9):
             for one in range(4):
                 pulls[one, at] = area[k] * (
@@ -304,6 +296,7 @@ def assemble_tangent(
         for i in range(3):
             for j in range(3):
                 block = blocks[slots[k, i, j]]
+                bend = area[k] * push[i, j]
                 for row in range(3):
                     for column in range(3):
                         p, q = 3 * i + row, 3 * j + column
@@ -312,8 +305,144 @@ def assemble_tangent(
                             + rows[1, p] * pulls[1, q]
                             + rows[2, p] * pulls[2, q]
                             + rows[3, p] * pulls[3, q]
-                            + push[i, j] * normal[row] * normal[column]
+                            + bend * normal[row] * normal[column]
                         )
+
+
+@compiled
+def assemble_along(
+    positions: Array,
+    triangles: Indices,
+    inverse_reference: Array,
+    area: Array,
+    stiffness: Array,
+    set_strain: Array,
+    torn: Flags,
+    slots: Indices,
+    even_count: int,
+    even_ways: Array,
+    odd_ways: Array,
+    ranks: Indices,
+    blocks: Array,
+) -> None:
+    """As :func:`assemble_tangent`, along the nodes' ways; only blocks whose row's node has the lower rank or the same.
+
+    Args:
+        even_count: elements in even cells, which come first.
+        even_ways: ways to move as even cells see them, or zeros, shape [n, 3, 3], a way a row.
+        odd_ways: the same for odd cells.
+        ranks: of the nodes, shape [n].
+    """
+    blocks[:] = 0.0
+    rows, push, law, normal = np.empty((4, 9)), np.empty((3, 3)), np.empty((4, 4)), np.empty(3)
+    along, pulls = np.empty((5, 9)), np.empty((4, 9))
+    for k in range(len(triangles)):
+        if torn[k] or not _element_tangent(
+            positions,
+            triangles[k],
+            inverse_reference[k],
+            stiffness[k],
+            set_strain[k],
+            rows,
+            law,
+            push,
+            normal,
+        ):
+            continue
+        ways = even_ways if k < even_count else odd_ways
+        for i in range(3):
+            node = triangles[k, i]
+            for a in range(3):
+                x, y, z = ways[node, a, 0], ways[node, a, 1], ways[node, a, 2]
+                for one in range(4):
+                    along[one, 3 * i + a] = (
+                        rows[one, 3 * i] * x + rows[one, 3 * i + 1] * y + rows[one, 3 * i + 2] * z
+                    )
+                along[4, 3 * i + a] = normal[0] * x + normal[1] * y + normal[2] * z
+        for at in range(9):
+            for one in range(4):
+                pulls[one, at] = area[k] * (
+                    law[one, 0] * along[0, at]
+                    + law[one, 1] * along[1, at]
+                    + law[one, 2] * along[2, at]
+                    + law[one, 3] * along[3, at]
+                )
+        for i in range(3):
+            for j in range(3):
+                if ranks[triangles[k, i]] > ranks[triangles[k, j]]:
+                    continue
+                block = blocks[slots[k, i, j]]
+                bend = area[k] * push[i, j]
+                for row in range(3):
+                    for column in range(3):
+                        p, q = 3 * i + row, 3 * j + column
+                        block[row, column] += (
+                            along[0, p] * pulls[0, q]
+                            + along[1, p] * pulls[1, q]
+                            + along[2, p] * pulls[2, q]
+                            + along[3, p] * pulls[3, q]
+                            + bend * along[4, p] * along[4, q]
+                        )
+
+
+@compiled
+def _element_tangent(
+    positions: Array,
+    corners: Indices,
+    inverse: Array,
+    stiffness: Array,
+    set_strain: Array,
+    rows: Array,
+    law: Array,
+    push: Array,
+    normal: Array,
+) -> bool:
+    """Writes what an element's tangent for each unit of its area is made of; False where it has no stiffness.
+
+    The stiffness of corner i's motion p for corner j's motion q is rows[:, 3i + p]·law·rows[:, 3j + q] in the film's
+    plane and push[i, j]·normal[p]·normal[q] across it.
+
+    Args:
+        rows: filled with slopes of U11, U22, 2·U12 and of the turn over the corners' motions, shape [4, 9].
+        law: filled with slopes of the forces over these, shape [4, 4].
+        push: filled, shape [3, 3].
+        normal: filled, unit vector.
+    """
+    f, g, u11, u22, u12, det = _stretch(positions, corners, inverse)
+    e11, e22, e12 = u11 - 1.0 - set_strain[0], u22 - 1.0 - set_strain[1], u12 - set_strain[2]
+    t11, t22, t12, _, regime = _tension(e11, e22, e12, stiffness)
+    trace = u11 + u22
+    if regime == SLACK or det <= 1e-6 * trace * trace:
+        return False
+    _tension_slope(e11, e22, e12, stiffness, regime, law)
+    k11, k22, k12 = _second_order(t11, t22, t12, u11, u22, u12, det)
+    normal[0] = (f[1] * g[2] - f[2] * g[1]) / det
+    normal[1] = (f[2] * g[0] - f[0] * g[2]) / det
+    normal[2] = (f[0] * g[1] - f[1] * g[0]) / det
+    for i in range(3):
+        b1 = inverse[i - 1, 0] if i > 0 else -inverse[0, 0] - inverse[1, 0]
+        b2 = inverse[i - 1, 1] if i > 0 else -inverse[0, 1] - inverse[1, 1]
+        for j in range(3):
+            c1 = inverse[j - 1, 0] if j > 0 else -inverse[0, 0] - inverse[1, 0]
+            c2 = inverse[j - 1, 1] if j > 0 else -inverse[0, 1] - inverse[1, 1]
+            push[i, j] = b1 * (k11 * c1 + k12 * c2) + b2 * (k12 * c1 + k22 * c2)
+        for row in range(3):
+            # Columns of R = F·U⁻¹, and how fast R turns in the film's plane.
+            r1, r2 = (f[row] * u22 - g[row] * u12) / det, (g[row] * u11 - f[row] * u12) / det
+            turn = (r2 * b1 - r1 * b2) / trace
+            at = 3 * i + row
+            rows[0, at] = r1 * b1 + u12 * turn
+            rows[1, at] = r2 * b2 - u12 * turn
+            rows[2, at] = r1 * b2 + r2 * b1 + (u22 - u11) * turn
+            rows[3, at] = turn
+    # The second variation of U: T : δ²U = K : (HᵀH − δU²) with RᵀδF = H = ω·J·U + δU.
+    n11, n12 = u11 * k11 + u12 * k12, u11 * k12 + u12 * k22
+    n21, n22 = u12 * k11 + u22 * k12, u12 * k12 + u22 * k22
+    law[3, 0], law[3, 1], law[3, 2] = -n21, n12, 0.5 * (n11 - n22)
+    law[3, 3] = n11 * u11 + (n12 + n21) * u12 + n22 * u22
+    for one in range(3):
+        law[one, 3] = law[3, one]
+    return True
 
 
 @compiled

@@ -1,0 +1,158 @@
+"""A recording measured by its pictures, beside the truth where it holds poses."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from config.scene import Scene
+from msgs_adapters.pose_payloads import pose_frame_from_payload
+from msgs_adapters.topics import PACKAGES_POSES
+from recordings.bag_pictures import calibration_of_bag, pictures_of_bag
+from recordings.bag_reader import BagReader
+from recordings.judge_bag import scene_of_bag, topics_in_bag
+from recordings.live_measurement import LiveMeasurement, measured_entry
+from sim_core.camera.layout import Side, near_face
+from sim_core.camera.source import Picture
+from sim_core.frames import Array, PoseFrame
+from sim_core.geometry import rotation_matrices
+from sim_core.judge import EumosJudge
+from sim_core.report import Report, judgement
+from sim_core.vision.annotate import annotated
+from sim_core.vision.measure import DisplacementMeasurer
+
+COVERAGE = 2.0
+"""Expanded over standard uncertainty: 95 % of a normal distribution."""
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Measured against true displacement, over all points of all pictures that were tracked.
+
+    Attributes:
+        points: how many, each with two components.
+        rms_error_mm: root of the mean square of the error of a component [mm].
+        largest_error_mm: largest error of a component [mm].
+        coverage: share of the errors inside the expanded uncertainty, 95 % meant.
+        verdict: that of the judge, from the poses.
+        rules: the judge's entries.
+    """
+
+    points: int
+    rms_error_mm: float
+    largest_error_mm: float
+    coverage: float
+    verdict: str
+    rules: list[Report]
+
+
+@dataclass(frozen=True)
+class MeasuredBag:
+    """What a recording's pictures say.
+
+    Attributes:
+        scene: the recording's.
+        entry: see :func:`~recordings.live_measurement.measured_entry`.
+        truth: beside what its poses say; None where it holds none.
+    """
+
+    scene: Scene
+    entry: Report
+    truth: Comparison | None
+
+
+def measure_bag(
+    path: Path, *, video: Path | None = None, on_picture: Callable[[int, int, object], None] | None = None
+) -> MeasuredBag:
+    """Measures displacement from a recording's pictures and calibration alone.
+
+    Args:
+        path: the recording.
+        video: where to write an annotated MP4, or None.
+        on_picture: called with pictures measured, how many there are, and the last one's number.
+
+    Raises:
+        BrokenRecording: it is damaged, or lacks scene, pictures or calibration.
+        RefusedInput: the pictures show too few targets, or no package faces the camera.
+    """
+    with BagReader(path) as reader:
+        scene = scene_of_bag(reader)
+        live = LiveMeasurement(scene, calibration_of_bag(reader))
+        count = sum(
+            recorded.message_count
+            for name, recorded in reader.topics.items()
+            if name.endswith(("/camera/image_raw/compressed", "/camera/image_raw"))
+        )
+
+        def measured() -> Iterator[Picture]:
+            for picture in pictures_of_bag(reader):
+                measurement, _ = live.take(picture.stamp_ns, picture.pixels)
+                if on_picture is not None:
+                    on_picture(picture.index + 1, count, picture.index)
+                if video is not None:
+                    pixels = annotated(picture.pixels, live.measurer, measurement)
+                    yield Picture(picture.index, picture.stamp_ns, pixels=pixels)
+
+        if video is not None:
+            from sim_core.camera.video import write_video
+
+            assert scene.camera is not None
+            write_video(measured(), video, rate_hz=scene.camera.rate_hz)
+        else:
+            for _ in measured():
+                pass
+        entry = measured_entry(live.measurer.result())
+        return MeasuredBag(scene, entry, _compared(reader, scene, live.measurer))
+
+
+def _compared(reader: BagReader, scene: Scene, measurer: DisplacementMeasurer) -> Comparison | None:
+    names = topics_in_bag(reader, PACKAGES_POSES.name)
+    if not names:
+        return None
+    judge = EumosJudge(scene)
+    wanted = {measured.stamp_ns for measured in measurer.measurements}
+    first: Array | None = None
+    moved: dict[int, Array] = {}
+    for message in reader.messages(names):
+        frame = pose_frame_from_payload(message.payload, judge.frame_count)
+        judge.add(frame)
+        if frame.stamp_ns in wanted or first is None:
+            places = true_places(scene, measurer.side, [face.row for face in measurer.faces], frame)
+            first = places if first is None else first
+            moved[frame.stamp_ns] = places - first
+    displacement, sigma = measurer.displacements()
+    errors, bounds = [], []
+    for measured, way, deviation in zip(measurer.measurements, displacement, sigma, strict=True):
+        if measured.stamp_ns in moved:
+            errors.append(way - moved[measured.stamp_ns])
+            bounds.append(COVERAGE * deviation)
+    error, bound = np.array(errors).ravel(), np.array(bounds).ravel()
+    seen = np.isfinite(error)
+    if not seen.any():
+        return None
+    judged = judgement(scene, judge)
+    return Comparison(
+        points=int(seen.sum()) // 2,
+        rms_error_mm=float(1000.0 * np.sqrt(np.mean(error[seen] ** 2))),
+        largest_error_mm=float(1000.0 * np.abs(error[seen]).max()),
+        coverage=float(np.mean(np.abs(error[seen]) <= bound[seen])),
+        verdict=judged["verdict"],
+        rules=judged["rules"],
+    )
+
+
+def true_places(scene: Scene, side: Side, rows: list[int], frame: PoseFrame) -> Array:
+    """Where middle and corners of packages' sides towards the camera are, along right and up [m], shape [n, 5, 2].
+
+    Args:
+        scene: the resolved scene.
+        side: that the camera sees.
+        rows: of the packages in the pose frame.
+        frame: their poses.
+    """
+    faces = np.array([near_face(scene, row) for row in rows], dtype=float)
+    spots = np.concatenate((faces.mean(axis=1, keepdims=True), faces), axis=1)
+    turns = rotation_matrices(frame.orientations[rows])
+    places = frame.positions[rows][:, None] + np.einsum("nij,npj->npi", turns, spots)
+    return np.stack((places @ side.right, places[:, :, 2]), axis=-1)

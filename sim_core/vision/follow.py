@@ -1,0 +1,232 @@
+"""Every package followed from picture to picture: by its print, checked and rescued by its tags, or given up."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from config.scene import Scene
+from sim_core.camera.layout import side_of
+from sim_core.frames import Array
+from sim_core.vision.faces import MOST_POINTS, Face, FaceTracker, in_plane, moved_in_plane
+from sim_core.vision.motion import Motions, fit_motions
+from sim_core.vision.plane import Sight
+from sim_core.vision.tags import TagTracker
+
+Grey = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
+State = Literal["tracked", "occluded", "blurred", "out of view", "lost"]
+TRACKED: State = "tracked"
+
+FACE_POINT_PX, TAG_POINT_PX = 0.06, 0.1
+"""Least standard deviation of a point of a carton's print, and of a tag's corner."""
+TOLERANCE_PX = 1.5
+LEAST_POINTS, LEAST_SHARE = 4, 0.3
+BLUR_PX = 3.0
+JUMP_M, JUMP_MORE_M, MOST_JUMP_M = 0.08, 0.05, 0.35
+"""How far a package may be from where its speed foretells it; how much more for each picture without it; the most."""
+PICTURES_A_TAG_CHECK = 5
+DISAGREEMENT_M = 0.05
+"""Print that is so far from where the tags say is another package's."""
+_SEARCHES_A_PICTURE = 3
+_LEAST_MATCH = 0.6
+_GIVEN_UP_AFTER = 10
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """Where the packages are in one picture.
+
+    Attributes:
+        displacement: of each face's centre and corners along right and up [m], shape [n, 5, 2]; NaN where not tracked.
+        variance: of each [m²], shape [n, 5, 2].
+        turn: of each face in the picture's plane [rad], shape [n].
+        states: of each package.
+        by_tags: which were found by their tags, shape [n].
+    """
+
+    displacement: Array
+    variance: Array
+    turn: Array
+    states: tuple[State, ...]
+    by_tags: Flags
+
+
+class PackageFollower:
+    """Follows the faces of a load.
+
+    Args:
+        scene: a resolved scene with a camera.
+        faces: the faces that the camera sees.
+        sight: the camera as the first picture shows it.
+    """
+
+    def __init__(self, scene: Scene, faces: list[Face], sight: Sight) -> None:
+        assert scene.camera is not None
+        self._faces, self._side = faces, side_of(scene)
+        self._shutter_s = scene.camera.shutter_s
+        self._size = (sight.view.width, sight.view.height)
+        self._centres = in_plane(np.array([face.centre for face in faces]), self._side)
+        corners = in_plane(np.array([face.corners for face in faces]), self._side)
+        self._spots = np.concatenate((self._centres[:, None], corners), axis=1)
+        self._narrow = np.linalg.norm(np.diff(corners[:, :3], axis=1), axis=2).min(axis=1)
+        self._depths = np.array([face.centre @ self._side.normal for face in faces])
+        self._distance = sight.view.position @ self._side.normal - self._depths
+        self.pixel_m = float(self._distance.mean()) / float(sight.view.matrix[0, 0])
+        self._tracker = FaceTracker(scene, faces, sight)
+        is_marked = scene.camera.markers is not None
+        self._tags = TagTracker(scene, faces, self.pixel_m) if is_marked else None
+        self._motion, self._rate = np.zeros((len(faces), 3)), np.zeros((len(faces), 3))
+        self._missed = np.zeros(len(faces), dtype=int)
+        self._count = 0
+
+    def refer(self, grey: Grey, sight: Sight) -> None:
+        """Takes a picture of the load as it stands before the start."""
+        self._tracker.refer(grey, sight, 0.0)
+        if self._tags is not None:
+            self._tags.refer(self._find_tags(grey, sight, 0.0))
+
+    def follow(self, grey: Grey, sight: Sight, travel_m: float, step_s: float) -> Followed:
+        """Takes the next picture.
+
+        Args:
+            grey: the picture, shape [height, width].
+            sight: the camera.
+            travel_m: of the sled, along the side's ``right``.
+            step_s: time since the picture before [s].
+        """
+        # Nothing is foretold to go on for long: what is lost stays where it was last seen.
+        foretold = self._motion + step_s * np.where(self._missed[:, None] > 2, 0.0, self._rate)
+        self._count += 1
+        motions, good = self._by_print(grey, sight, travel_m, foretold)
+        by_tags = np.zeros(len(self._faces), dtype=bool)
+        if self._tags is not None and (not good.all() or self._count % PICTURES_A_TAG_CHECK == 0):
+            motions, good, by_tags = self._by_tags(grey, sight, travel_m, foretold, motions, good)
+        displacement, variance = motions.displaced(self._spots, self._centres)
+        displacement[~good], variance[~good] = np.nan, np.nan
+        states = [TRACKED] * len(self._faces)
+        outlines = self._outlines(foretold) if not good.all() else np.zeros(0)
+        for number in np.flatnonzero(~good).tolist():
+            states[number] = self._why_not(number, outlines, good, sight, travel_m)
+        self._keep(good, np.column_stack((motions.centre, motions.turn)), step_s)
+        return Followed(displacement, variance, np.where(good, motions.turn, np.nan), tuple(states), by_tags)
+
+    def _by_print(self, grey: Grey, sight: Sight, travel: float, foretold: Array) -> tuple[Motions, Flags]:
+        """Motions by the faces' print, and which to believe; what was lost is looked for, a few a picture."""
+        before = self._tracker.before
+        after = np.full((len(self._faces), MOST_POINTS, 2), np.nan)
+        nobody = np.zeros(len(self._faces), dtype=bool)
+        looked = np.flatnonzero(self._missed < _GIVEN_UP_AFTER).tolist()
+        if looked:
+            after[looked] = self._tracker.find(grey, sight, travel, foretold, looked)
+        motions = self._fitted(before, after, foretold, nobody, travel, sight)
+        good = self._are_good(motions, nobody, foretold)
+        # The least long lost first.
+        lost = sorted((k for k in looked if not good[k]), key=lambda k: int(self._missed[k]))
+        again, found = foretold.copy(), []
+        for number in lost[:_SEARCHES_A_PICTURE]:
+            reach = float(self._reach_m[number])
+            again[number], score = self._tracker.search(grey, sight, travel, foretold, number, reach_m=reach)
+            if score > _LEAST_MATCH:
+                found.append(number)
+        if found:
+            after[found] = self._tracker.find(grey, sight, travel, again, found)
+            motions = self._fitted(before, after, again, nobody, travel, sight)
+            good = self._are_good(motions, nobody, foretold)
+        return motions, good
+
+    def _by_tags(
+        self, grey: Grey, sight: Sight, travel: float, foretold: Array, motions: Motions, good: Flags
+    ) -> tuple[Motions, Flags, Flags]:
+        """The same with the tags read: they know which package is which."""
+        assert self._tags is not None
+        tagged = self._find_tags(grey, sight, travel)
+        both = np.where(np.isfinite(tagged), self._tags.before, np.nan)
+        is_read = np.isfinite(both).all(axis=2).sum(axis=1) >= LEAST_POINTS
+        rough = np.nan_to_num(np.nanmean(np.where(is_read[:, None, None], tagged - both, 0.0), axis=1))
+        told = np.where(is_read[:, None], np.column_stack((rough, foretold[:, 2])), foretold)
+        by_tags = self._fitted(both, tagged, told, is_read, travel, sight)
+        # The tags' corners are fewer than the print's points: they only overrule what went astray.
+        apart = np.linalg.norm(by_tags.centre - motions.centre, axis=1)
+        is_taken = is_read & self._are_good(by_tags, is_read, foretold) & (~good | (apart > DISAGREEMENT_M))
+        merged = motions.replaced(by_tags, is_taken)
+        return merged, self._are_good(merged, is_taken, foretold) & (good | is_taken), is_taken
+
+    def _find_tags(self, grey: Grey, sight: Sight, travel: float) -> Array:
+        assert self._tags is not None
+        pixels = sight.project(self._outlines(self._motion).reshape(-1, 3), travel)
+        reach = 0.1 / self.pixel_m
+        low = np.clip(np.nanmin(pixels, axis=0) - reach, 0, self._size).astype(int).tolist()
+        high = np.clip(np.nanmax(pixels, axis=0) + reach, 0, self._size).astype(int).tolist()
+        return self._tags.find(grey, sight, travel, (low[0], low[1], high[0], high[1]))
+
+    def _fitted(
+        self, before: Array, after: Array, near: Array, is_tagged: Flags, travel: float, sight: Sight
+    ) -> Motions:
+        return fit_motions(
+            before,
+            after,
+            self._centres,
+            in_plane(sight.view.position - travel * sight.direction, self._side),
+            self._distance,
+            point_sigma_m=self.pixel_m * np.where(is_tagged, TAG_POINT_PX, FACE_POINT_PX),
+            tolerance_m=self.pixel_m * TOLERANCE_PX,
+            moved_m=np.linalg.norm(near[:, :2], axis=1),
+        )
+
+    @property
+    def _reach_m(self) -> Array:
+        """How far from where it is foretold a package may be that was last seen some pictures ago [m], shape [n]."""
+        reach: Array = np.minimum(JUMP_M + JUMP_MORE_M * self._missed, MOST_JUMP_M)
+        return reach
+
+    def _are_good(self, motions: Motions, is_tagged: Flags, foretold: Array) -> Flags:
+        """Which motions to believe: enough points agree, no leap, and no two packages in one place.
+
+        Cartons are printed alike: a leap may be the neighbour's print.
+        """
+        good = (motions.used >= LEAST_POINTS) & (motions.share >= LEAST_SHARE)
+        leap = np.linalg.norm(motions.centre - foretold[:, :2], axis=1)
+        good &= is_tagged | (leap < self._reach_m)
+        places = np.where(good[:, None], self._centres + motions.centre, np.nan)
+        apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+        room = 0.5 * np.minimum(self._narrow[:, None], self._narrow[None])
+        clash = (apart < room) & (np.abs(self._depths[:, None] - self._depths[None]) < 0.1)
+        np.fill_diagonal(clash, False)
+        distrust = np.where(is_tagged, 0.0, 1.0 + leap)
+        good &= ~(clash & (distrust[:, None] >= distrust[None])).any(axis=1)
+        return good
+
+    def _why_not(self, number: int, outlines: Array, good: Flags, sight: Sight, travel: float) -> State:
+        """Why a package is not tracked: it is out of the picture, smeared, behind another, or just lost."""
+        pixels = sight.project(outlines[number], travel)
+        if not ((pixels > 0).all() and (pixels < np.array(self._size) - 1).all()):
+            return "out of view"
+        speed = float(np.linalg.norm(self._rate[number, :2]))
+        if speed * self._shutter_s / self.pixel_m > BLUR_PX:
+            return "blurred"
+        flat = in_plane(outlines, self._side)
+        low, high = flat.min(axis=1), flat.max(axis=1)
+        shared = np.clip(np.minimum(high[number], high) - np.maximum(low[number], low), 0.0, None).prod(
+            axis=1
+        )
+        others = good & (shared > 0.3 * (high[number] - low[number]).prod())
+        return "occluded" if others.any() else "lost"
+
+    def _outlines(self, motions: Array) -> Array:
+        """Corners of the faces along motions, frame ``sled`` [m], shape [n, 4, 3]."""
+        return np.array(
+            [
+                moved_in_plane(face.corners, face.centre, self._side, motion[:2], float(motion[2]))
+                for face, motion in zip(self._faces, motions, strict=True)
+            ]
+        )
+
+    def _keep(self, good: Flags, motion: Array, step_s: float) -> None:
+        """Keeps where the packages are and how fast they go."""
+        steps = step_s * (1 + self._missed[:, None])
+        rate = np.where(self._missed[:, None] < 5, (motion - self._motion) / steps, 0.0)
+        self._rate = np.where(good[:, None], rate, self._rate)
+        self._motion = np.where(good[:, None], motion, self._motion)
+        self._missed = np.where(good, 0, self._missed + 1)
