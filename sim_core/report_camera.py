@@ -74,5 +74,29 @@ def camera_section(report: Report, scene: Scene, pictures: ReportPictures | None
         "<section><h2>What the camera saw</h2>\n"
         f"<p>{told['pictures']} pictures of {camera.width_px} × {camera.height_px} px, focal length"
         f" {told['focal_length_mm']:.1f} mm, {told['distance_m']:.2f} m from the load's near side; drawn by"
-        f" {safe_text(told['drawn_by'])}.</p>\n{figures}\n{video}</section>"
+        f" {safe_text(told['drawn_by'])}.</p>\n{figures}\n{video}{_measured(report)}</section>"
     )
+
+
+def _measured(report: Report) -> str:
+    """What vision_node made of the pictures, beside the judge."""
+    measured = report.get("vision")
+    if measured is None:
+        return ""
+    judged = {rule["rule"]: rule for rule in report["rules"]}
+    rows = "\n".join(
+        f'<tr><th scope="row">{safe_text(rule["title"])}</th><td>{_figure(rule["worst_mm"])}</td>'
+        f"<td>{_figure(rule['error_mm'])}</td><td>{_figure(judged[rule['rule']]['worst_mm'])}</td>"
+        f"<td>{_figure(rule['limit_mm'])}</td><td>{safe_text(rule['state'])}</td></tr>"
+        for rule in measured["rules"]
+    )
+    unseen = "".join(f"<li>{safe_text(line)}</li>" for line in measured["unseen"])
+    return (
+        f"<h3>Measured from the pictures alone: {safe_text(measured['verdict'])}</h3>\n<table><thead><tr><th>Rule</th>"
+        "<th>Measured, mm</th><th>± mm, 95 %</th><th>Simulated, mm</th><th>Limit, mm</th><th>State</th></tr></thead>"
+        f"<tbody>{rows}</tbody></table>\n" + (f"<p>Not seen:</p><ul>{unseen}</ul>" if unseen else "")
+    )
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.1f}"
