@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Literal
 
+from config.camera import Camera
 from config.errors import RefusedInput
 from config.scene import Accelerometer, ForceFields, Sampling, Scene
 from config.scene_file import validate_scene
@@ -68,6 +69,13 @@ PARTS = (
         "accelerometer", "readings of the sled's accelerometer",
         key="accelerometer", on=lambda scene: scene.accelerometer or Accelerometer(),
         enters=("sim_core.run:Peekable.__next__",),
+    ),
+    OptionalPart(
+        "camera", "pictures of 480 x 270, drawn, kept and made a video of",
+        key="camera", on=lambda scene: scene.camera or Camera(width_px=480, height_px=270),
+        imports=("cv2", "vtkmodules", "av", "sim_core.camera", "sim_core.vision"), enters=("sim_core.camera.",),
+        # Pictures cost more than all else together.
+        in_all=False,
     ),
     OptionalPart(
         "recording", "an MCAP bag of every message",

@@ -5,9 +5,9 @@ import numpy as np
 
 from config.scene import Scene
 from sim_core.camera.atlas import Atlas
-from sim_core.camera.layout import BOARD_GAP_M, Side
+from sim_core.camera.layout import Side
 from sim_core.camera.meshes import FIXED, SLED, Mesh, box, merged, quad, turned
-from sim_core.camera.stage import CATCH_M, FLOOR_M, RAIL_GAUGE_M, RAIL_TOP_M, bench_frame, far_m
+from sim_core.camera.stage import CATCH_M, FLOOR_M, RAIL_GAUGE_M, RAIL_TOP_M, bench_frame, deck_span, far_m
 from sim_core.camera.surfaces import Picture, concrete, generator, noise, steel
 from sim_core.frames import Array
 
@@ -101,7 +101,7 @@ def rails(scene: Scene, side: Side, atlas: Atlas) -> Mesh:
     seed = scene.camera.seed if scene.camera is not None else 0
     left, right = side.left_m + side.travel_m[0] - _AROUND_M, side.right_m + side.travel_m[1] + _AROUND_M
     bar = atlas.add(steel(2.0, 0.1, seed=seed, pixels_per_m=300.0))
-    middle = -0.5 * (side.near_m + BOARD_GAP_M - 0.012 + far_m(scene, side) - 0.12)
+    middle = 0.5 * sum(deck_span(scene, side))
     length, along = right - left, 0.5 * (left + right)
     paint, bright = (0.26, 0.27, 0.29, 0.08), (0.7, 0.7, 0.72, 0.35)
     parts: list[Mesh] = []
@@ -126,7 +126,7 @@ def rails(scene: Scene, side: Side, atlas: Atlas) -> Mesh:
 
 def shadow_region(scene: Scene, side: Side) -> Array:
     """Corners of the box around sled and load in which things cast shadows, frame ``sled`` [m], shape [8, 3]."""
-    near, far = side.near_m + 0.35, far_m(scene, side) - 0.45
+    near, far = side.near_m + 0.35, -deck_span(scene, side)[1] - 0.33
     left, right = side.left_m - CATCH_M - 0.4, side.right_m + CATCH_M + 0.4
     return np.array(
         [

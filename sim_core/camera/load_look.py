@@ -40,7 +40,8 @@ def _tags(scene: Scene, atlas: Atlas, pixels_per_m: float) -> Mesh:
     for marker in markers_of(scene):
         assert markers is not None
         edge = float(np.linalg.norm(marker.sheet[1] - marker.sheet[0]))
-        size_px = int(np.clip(2.0 * edge * pixels_per_m, 64, 1024))
+        # A texel for each rendered pixel: finer ones would let edges jump from one to the next.
+        size_px = int(np.clip(edge * pixels_per_m, 32, 2048))
         picture = atlas.add(tag_sheet(markers.dictionary, marker.tag, size_px))
         normal = np.cross(marker.sheet[3] - marker.sheet[0], marker.sheet[1] - marker.sheet[0])
         front = marker.sheet + _TAG_RELIEF_M * normal / np.linalg.norm(normal)

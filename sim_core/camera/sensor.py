@@ -61,6 +61,12 @@ class Lens:
         ).reshape(view.height, view.width, 2)
         self.focal = oversampling * float(view.matrix[0, 0])
         self._map = (self.focal * rays).astype(np.float32)
+        # Pixel n of the blurred picture is the mean of n - 1 and n: its middle lies half a pixel before. In fixed
+        # point a place gets the same fraction in whichever part it is drawn; rendered rows run upwards.
+        shift = 0.5 if oversampling == 2 else 0.0
+        self._cells, self._shares = cv2.convertMaps(
+            self._map[..., 0] + np.float32(shift), np.float32(shift) - self._map[..., 1], cv2.CV_16SC2
+        )
 
     def seen(self, part: Window) -> Window:
         """The part of the distortion-free picture that a part of the camera's needs."""
@@ -72,13 +78,11 @@ class Lens:
 
     def bend(self, rendered: Picture, part: Window, seen: Window) -> Picture:
         """The camera's picture of a part from the distortion-free one, whose first row is at the bottom."""
-        # Pixel n of the blurred picture is the mean of n - 1 and n: its middle lies half a pixel before.
-        shift = 0.5 if self._oversampling == 2 else 0.0
         soft = cv2.blur(rendered, (2, 2)) if self._oversampling == 2 else rendered
-        places = self._map[part.rows, part.columns]
-        across = places[..., 0] - (seen.left - shift)
-        down = (seen.top + seen.height - 1 + shift) - places[..., 1]
-        bent = cv2.remap(soft, across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        origin = np.array([-seen.left, seen.top + seen.height - 1], np.int16)
+        cells = self._cells[part.rows, part.columns] + origin
+        shares = self._shares[part.rows, part.columns]
+        bent = cv2.remap(soft, cells, shares, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         return np.asarray(bent, np.uint8)
 
 

@@ -22,6 +22,7 @@ FLOOR_M = -0.46
 """Height of the hall's floor in frame ``world`` [m]."""
 RAIL_TOP_M = -0.25
 RAIL_GAUGE_M = 0.62
+_LEAST_DEPTH_M = 0.9
 CATCH_M = 2.6
 """How far the sled's platforms reach beyond the load at both ends: packages that fall come to lie on them."""
 BOARD_PAINT = (0.8, 0.8, 0.79, 0.0)
@@ -50,11 +51,17 @@ def bench_frame(side: Side) -> Array:
     return np.array([side.right, -side.normal, _UP])
 
 
+def deck_span(scene: Scene, side: Side) -> tuple[float, float]:
+    """Where the sled's deck begins and ends, away from the camera [m]."""
+    front = -(side.near_m + BOARD_GAP_M - 0.012)
+    return front, max(-(far_m(scene, side) - 0.12), front + _LEAST_DEPTH_M)
+
+
 def sled(scene: Scene, side: Side, atlas: Atlas, *, pixels_per_m: float) -> Mesh:
     """The sled in frame ``sled``: plywood on a steel frame, platforms at both ends, a white board with targets."""
     seed = scene.camera.seed if scene.camera is not None else 0
     left, right = side.left_m - BOARD_OVERHANG_M + 0.03, side.right_m + BOARD_OVERHANG_M - 0.03
-    front, back = -(side.near_m + BOARD_GAP_M - 0.012), -(far_m(scene, side) - 0.12)
+    front, back = deck_span(scene, side)
     length, depth = right - left, back - front
     along, across = 0.5 * (left + right), 0.5 * (front + back)
     ply = atlas.add(plywood(length, depth, seed=seed, pixels_per_m=0.5 * pixels_per_m))
@@ -101,7 +108,8 @@ def sled(scene: Scene, side: Side, atlas: Atlas, *, pixels_per_m: float) -> Mesh
 
 
 def _targets(scene: Scene, side: Side, atlas: Atlas, pixels_per_m: float) -> Mesh:
-    size_px = int(np.clip(3.0 * TARGET_RADIUS_M * pixels_per_m, 32, 1024))
+    # A texel for each rendered pixel: finer ones would let edges jump from one to the next.
+    size_px = int(np.clip(2.0 * TARGET_RADIUS_M * pixels_per_m, 16, 2048))
     picture = atlas.add(quadrant_target(size_px))
     square = TARGET_RADIUS_M * np.array(
         [-side.right + _UP, side.right + _UP, side.right - _UP, -side.right - _UP]

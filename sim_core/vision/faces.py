@@ -21,6 +21,7 @@ Grey = NDArray[np.uint8]
 
 MOST_POINTS = 16
 MOST_TILE_PIXELS = 5.0e5
+_APART = 0.16
 _MARGIN_PX = 12
 _WINDOW_PX = 15
 _AROUND_PX = 25
@@ -261,7 +262,7 @@ class FaceTracker:
             mask = np.zeros((h, w), np.uint8)
             inset = _MARGIN_PX + min(6, w // 12, h // 12)
             mask[inset : h - inset, inset : w - inset] = 255
-            apart = max(5.0, 0.16 * min(w, h))
+            apart = max(5.0, _APART * min(w, h))
             strong = cv2.goodFeaturesToTrack(
                 np.ascontiguousarray(tile), 2 * MOST_POINTS, 0.02, apart, mask=mask, blockSize=7
             )

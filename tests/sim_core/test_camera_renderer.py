@@ -182,7 +182,7 @@ def test_a_package_fills_its_projection(
         cv2.fillConvexPoly(expected, hull, 255, cv2.LINE_AA, shift=8)
         picture = drawing.picture(shot).astype(int)
         seen = np.abs(picture - picture[2, 2]).max(axis=2) > 12
-        above = int(view.project(np.array([[0.8, 0.0, 0.05]]))[0, 1])
+        above = int(view.project(np.array([[x, 1.2, 0.03] for x in np.linspace(-3, 5, 50)]))[:, 1].min())
         wrong = (seen != (expected > 127))[:above]
         assert (expected > 127)[above:].sum() == 0
         assert wrong.sum() / cv2.arcLength(hull.astype(np.float32) / 256.0, True) < bar_px
@@ -204,7 +204,7 @@ def test_targets_and_tags_are_where_they_are_put(layer: Callable[..., Scene]):
         assert min(levels[2:]) > 150
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     settings = cv2.aruco.DetectorParameters()
-    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
     found, numbers, _ = cv2.aruco.ArucoDetector(tags, settings).detectMarkers(picture)
     markers = {marker.tag: marker for marker in markers_of(scene)}
     assert sorted(numbers.ravel().tolist()) == sorted(markers)
@@ -212,7 +212,8 @@ def test_targets_and_tags_are_where_they_are_put(layer: Callable[..., Scene]):
         marker = markers[tag]
         place = np.array(scene.packages[marker.package - 1].position_m) + sled
         expected = view.project(marker.corners + place)
-        assert np.linalg.norm(quad_seen[0] - expected, axis=1).max() < 0.5
+        # AprilTag counts from the upper left corner of the first pixel, and not from its middle.
+        assert np.linalg.norm(quad_seen[0] - 0.5 - expected, axis=1).max() < 0.5
     renderer.close()
 
 
@@ -246,7 +247,7 @@ def test_the_same_shot_is_the_same_bytes_whatever_was_drawn_before(layer: Callab
     assert elsewhere.stderr == b""
 
 
-@pytest.mark.parametrize("material", ["stretch_film_20", "kraft_paper"])
+@pytest.mark.parametrize("material", ["stretch_film_20", "kraft_80"])
 def test_torn_film_is_missing(material: str, layer: Callable[..., Scene]):
     scene = layer(wrap=material)
     renderer = BenchRenderer(scene)
@@ -284,10 +285,10 @@ def test_what_moves_is_blurred_over_the_exposure_before_the_stamp(
     sled = np.array([0.3, 0.0, 0.0])
     picture = renderer.picture(_shot(scene, sled=sled, velocity=np.array([speed, 0.0, 0.0])))
     target = targets_of(scene)[0] + sled
-    # Between the rows of targets, from left to right over the board's left edge.
+    # Below the platforms and left of the lower row's first target, over the board's left edge.
     ends = [target[0] - 0.05, target[0] - 0.05 - speed * shutter]
-    right, left = (renderer.view.project(np.array([[x, target[1], target[2]]]))[0] for x in ends)
-    row = picture[round(left[1]) + 1, :, 0].astype(float) ** 2
+    right, left = (renderer.view.project(np.array([[x, target[1], -0.19]]))[0] for x in ends)
+    row = picture[round(left[1]), :, 0].astype(float) ** 2
     line = row[round(left[0]) - 6 : round(right[0]) + 7]
     renderer.close()
     shares = (line - line[0]) / (line[-1] - line[0])
