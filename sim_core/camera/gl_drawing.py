@@ -4,6 +4,7 @@ import numpy as np
 
 from config.scene import Scene
 from sim_core.camera.atlas import Atlas, on_sheet
+from sim_core.camera.drawing import Poses
 from sim_core.camera.film_look import FilmLook
 from sim_core.camera.gl_window import GlMesh, GlTexture, GlWindow
 from sim_core.camera.hall import backdrop, rails, shaded_floor, shadow_region
@@ -17,8 +18,6 @@ from sim_core.camera.stage import pallet, sled
 from sim_core.camera.view import CameraView
 from sim_core.frames import Array, FilmFrame
 from sim_core.geometry import rotation_matrices
-
-Poses = tuple[Array, Array, Array]
 
 _NEAR_M, _FAR_M = 0.05, 100.0
 _LARGEST_PX = 2048
@@ -34,7 +33,7 @@ class GlDrawing:
         view: the camera.
 
     Raises:
-        RuntimeError: there is no OpenGL here.
+        NoOpenGl: there is none.
     """
 
     def __init__(self, scene: Scene, view: CameraView) -> None:

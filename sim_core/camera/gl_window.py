@@ -23,6 +23,10 @@ from sim_core.frames import Array
 Floats = NDArray[np.float32]
 
 
+class NoOpenGl(Exception):
+    """VTK finds no OpenGL that draws without a screen."""
+
+
 class GlTexture:
     """A picture that shaders look up, filtered linearly: bytes as 0 to 1, or floats as they are."""
 
@@ -136,7 +140,7 @@ class GlWindow:
     """Draws meshes, the first one first, into a picture without a screen.
 
     Raises:
-        RuntimeError: there is no OpenGL here.
+        NoOpenGl: there is none.
     """
 
     def __init__(self, width: int, height: int) -> None:
@@ -156,7 +160,7 @@ class GlWindow:
         self._colours = vtkUnsignedCharArray()
         self._depths = vtkFloatArray()
         if not self._window.SupportsOpenGL():
-            raise RuntimeError("no OpenGL here")
+            raise NoOpenGl
 
     def add(self, mesh: GlMesh) -> None:
         """Draws this mesh too, after the others."""
@@ -206,5 +210,5 @@ def _new_window() -> vtkRenderWindow:
         vtkLogger.SetStderrVerbosity(cutoff)
     # VTK's last resort is OSMesa, which Mesa has given up; without it VTK ends the process at the first draw.
     if window.GetClassName() == "vtkOSOpenGLRenderWindow":
-        raise RuntimeError("no OpenGL here")
+        raise NoOpenGl
     return window

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from config.scene import Scene
+from config.scene import RecordedSled, Scene, direction_vector
 from sim_core.camera.atlas import Atlas
 from sim_core.camera.layout import Side
 from sim_core.camera.meshes import FIXED, SLED, Mesh, box, merged, quad, turned
@@ -27,9 +27,41 @@ def backdrop(scene: Scene, side: Side, atlas: Atlas) -> Mesh:
     wall = atlas.add(_wall(right - left, _WALL_TOP_M - FLOOR_M, seed=seed))
     ground = _rectangle(side, (left, right), ((FLOOR_M, far), (FLOOR_M, near)))
     behind = _rectangle(side, (left, right), ((_WALL_TOP_M, far), (FLOOR_M, far)))
-    return merged(
-        [quad(ground, floor, body=FIXED, tint=(0.86, 0.86, 0.86, 0.0)), quad(behind, wall, body=FIXED)]
+    room = [
+        quad(ground, floor, body=FIXED, tint=(0.86, 0.86, 0.86, 0.0)),
+        quad(behind, wall, body=FIXED),
+        *_rest_of_hall(side, (left, right), (near + 1.0, far), wall),
+    ]
+    return merged(room)
+
+
+def _rest_of_hall(
+    side: Side, ends: tuple[float, float], depths: tuple[float, float], wall: int
+) -> list[Mesh]:
+    """The other three walls, the ceiling, and more floor; from outside the hall they don't hide it."""
+    (left, right), (near, far) = ends, depths
+
+    def upright(first: tuple[float, float], last: tuple[float, float], share: float) -> Mesh:
+        heights = (_WALL_TOP_M, _WALL_TOP_M, FLOOR_M, FLOOR_M)
+        places = (first, last, last, first)
+        corners = [side.point(along, up, depth) for up, (along, depth) in zip(heights, places, strict=True)]
+        return quad(np.array(corners), wall, body=FIXED, part=(0.0, 0.0, share, 1.0))
+
+    share = (near - far) / (right - left)
+    above = [
+        side.point(x, _WALL_TOP_M, y) for x, y in ((left, near), (right, near), (right, far), (left, far))
+    ]
+    wide = 40.0
+    below = _rectangle(
+        side, (left - wide, right + wide), ((FLOOR_M - 0.02, far - wide), (FLOOR_M - 0.02, near + wide))
     )
+    return [
+        upright((left, near), (left, far), share),
+        upright((right, far), (right, near), share),
+        upright((right, near), (left, near), 1.0),
+        quad(np.array(above), 0, body=FIXED, tint=(0.22, 0.23, 0.24, 0.0)),
+        quad(below, 0, body=FIXED, tint=(0.3, 0.295, 0.28, 0.0)),
+    ]
 
 
 def _rectangle(side: Side, ends: tuple[float, float], edges: tuple[tuple[float, float], ...]) -> Array:
@@ -121,7 +153,17 @@ def rails(scene: Scene, side: Side, atlas: Atlas) -> Mesh:
     for x in np.arange(along - 0.5 * length + 0.45, along + 0.5 * length, 0.9).tolist():
         centre = np.array([x, middle, FLOOR_M + 0.5 * high])
         parts.append(box(centre, np.array([0.1, RAIL_GAUGE_M + 0.3, high]), bar, body=FIXED, tint=paint))
-    return turned(merged(parts), bench_frame(side), np.zeros(3))
+    return turned(merged(parts), _rail_frame(scene, side), np.zeros(3))
+
+
+def _rail_frame(scene: Scene, side: Side) -> Array:
+    """Axes of the rails, a row each: along them to the right in the picture, away from the camera, up."""
+    if isinstance(scene.sled, RecordedSled):
+        return bench_frame(side)
+    ahead = np.array([*direction_vector(scene.sled.direction), 0.0])
+    right = ahead if ahead @ side.right > 0.0 else -ahead
+    up = np.array([0.0, 0.0, 1.0])
+    return np.array([right, np.cross(up, right), up])
 
 
 def shadow_region(scene: Scene, side: Side) -> Array:

@@ -55,6 +55,7 @@ class _DepthMap:
         self._clip = np.diag([2.0, 2.0, 2.0 / span[2], 1.0])
         self._clip[:2, 3] = -1.0
         self._depth_m = float(span[2])
+        self.reach_m = 0.5 * self._depth_m
         self._kernel = 2 * max(1, round(0.5 * blur_m / texel)) + 1
         self._window = GlWindow(width, height)
         self._mesh = GlMesh(casters.points, casters.triangles, (DEPTH_VERTEX, DEPTH_FRAGMENT))
@@ -62,7 +63,7 @@ class _DepthMap:
         self.texture = GlTexture(self._open(height, width))
 
     def _open(self, rows: int, columns: int) -> Floats:
-        far = np.float32(0.5 * self._depth_m + 10.0)
+        far = np.float32(self.reach_m)
         return np.full((rows, columns, 3), (far, far * far, far), np.float32)
 
     def from_world(self, sled: Array) -> Array:
@@ -121,6 +122,7 @@ class Lighting:
         """Lets a mesh be seen in this light."""
         for name, own in self._maps.items():
             mesh.set_texture(f"{name}_map", own.texture)
+            mesh.set_uniform(f"{name}_reach", own.reach_m)
             mesh.set_uniform(f"{name}_from_world", own.from_world(np.zeros(3)))
         mesh.set_uniform("lamp", self._lamp)
         mesh.set_uniform("lamp_share", self._share)

@@ -1,64 +1,39 @@
 """Draws what the bench's camera sees: scene and shot in, picture out."""
 
+import logging
 import os
-from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from config.scene import Scene
+from sim_core.camera.drawing import Drawing, Poses
 from sim_core.camera.film_look import draw_legend
-from sim_core.camera.sensor import Lens, Sensor, Window, busy_parts
+from sim_core.camera.sensor import Sensor, Window, busy_parts
 from sim_core.camera.shot import Shot
 from sim_core.camera.view import CameraView, view_of
-from sim_core.frames import Array, FilmFrame
+from sim_core.frames import FilmFrame
 from sim_core.geometry import box_corners
 
 Picture = NDArray[np.uint8]
-Poses = tuple[Array, Array, Array]
-"""Place of the sled in ``world`` [3], positions [n, 3] and orientations [n, 4] of pallet and packages in ``sled``."""
 
 FALLBACK_VARIABLE = "PALLET_TWIN_RENDERER"
 """Set to ``tiny`` this environment variable lets PyBullet draw even where there is OpenGL."""
+_log = logging.getLogger(__name__)
 _MOST_PICTURES = 64
 _EDGE_PX = 3.0
-
-
-class Drawing(Protocol):
-    """Something that draws the bench; colours are the square root of linear light."""
-
-    lens: Lens
-    described: str
-    largest_part: tuple[int, int]
-
-    def background(self) -> Picture:
-        """What never moves, as the camera sees it, RGB, shape [height, width, 3]."""
-
-    def outlines(self, poses: Poses) -> Array:
-        """Points around all that moves [m], frame ``world``, a body a row, shape [bodies, n, 3]."""
-
-    def light(self, poses: Poses, film: FilmFrame | None) -> None:
-        """Casts the shadows of one picture."""
-
-    def place(self, poses: Poses, film: FilmFrame | None) -> None:
-        """Moves what moves."""
-
-    def part(self, part: Window) -> Picture:
-        """A part of the picture as it stands, RGBA, opacity already in its colours."""
-
-    def close(self) -> None:
-        """Gives the graphics back."""
 
 
 def _drawing(scene: Scene, view: CameraView) -> Drawing:
     if os.environ.get(FALLBACK_VARIABLE) != "tiny":
         from sim_core.camera.gl_drawing import GlDrawing
+        from sim_core.camera.gl_window import NoOpenGl
 
         try:
             return GlDrawing(scene, view)
-        except RuntimeError:
-            pass
+        except NoOpenGl:
+            _log.warning("no OpenGL here: PyBullet draws plain boxes")
     from sim_core.camera.tiny_drawing import TinyDrawing
 
     return TinyDrawing(scene, view)

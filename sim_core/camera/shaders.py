@@ -20,20 +20,23 @@ in vec3 in_lamp;
 in vec3 in_sky;
 uniform sampler2D lamp_map;
 uniform sampler2D sky_map;
+uniform float lamp_reach;
+uniform float sky_reach;
 uniform vec3 lamp;
 uniform float lamp_share;
 uniform float brightness;
 uniform vec3 axis;
 // Lenses give less light to a picture's corners: half of the cosine's fourth power that an ideal one has.
 float falloff(vec3 towards) { float c = dot(towards, axis); return c * c; }
-float seen_share(sampler2D map, vec3 place, float least) {
+float seen_share(sampler2D map, vec3 place, float reach, float least) {
   vec2 depth = texture(map, place.xy).rg;
-  float behind = max(place.z - depth.x, 0.0);
+  // Where nothing was drawn the map ends at its reach; what is farther away is seen through it.
+  float behind = max(min(place.z, reach) - depth.x, 0.0);
   float spread = max(depth.y - depth.x * depth.x, least);
   return spread / (spread + behind * behind);
 }
-float lit_share() { return smoothstep(0.15, 1.0, seen_share(lamp_map, in_lamp, 4.0e-5)); }
-float open_share() { return seen_share(sky_map, in_sky, 1.0e-3); }
+float lit_share() { return smoothstep(0.15, 1.0, seen_share(lamp_map, in_lamp, lamp_reach, 4.0e-5)); }
+float open_share() { return seen_share(sky_map, in_sky, sky_reach, 1.0e-3); }
 float hall_light(vec3 normal, float open) {
   return mix(0.66, 1.0, 0.5 + 0.5 * normal.z) * mix(0.1, 1.0, open);
 }
@@ -150,7 +153,7 @@ void main() {
 """
 )
 
-# tint: colour and opacity of what scatters light in the film; folds: slopes around and up, how thick it lies, its shade.
+# tint: colour and opacity of what scatters light; folds: slopes around and up, how thick the film lies, its shade.
 FILM_FRAGMENT = (
     _FRAGMENT_HEAD
     + """

@@ -4,6 +4,7 @@ import numpy as np
 import pybullet
 
 from config.scene import Scene
+from sim_core.camera.drawing import Poses
 from sim_core.camera.layout import BOARD_BOTTOM_M, BOARD_GAP_M, BOARD_OVERHANG_M, BOARD_TOP_M, side_of
 from sim_core.camera.lighting import lamp_direction
 from sim_core.camera.meshes import edge_points
@@ -12,8 +13,6 @@ from sim_core.camera.stage import FLOOR_M, bench_frame
 from sim_core.camera.view import CameraView
 from sim_core.frames import Array, FilmFrame
 from sim_core.geometry import rotation_matrices
-
-Poses = tuple[Array, Array, Array]
 
 _CARDBOARD, _SHEET, _WOOD = (0.74, 0.60, 0.43, 1.0), (0.55, 0.45, 0.35, 1.0), (0.80, 0.68, 0.50, 1.0)
 _WHITE, _PLYWOOD = (0.92, 0.92, 0.92, 1.0), (0.36, 0.26, 0.20, 1.0)

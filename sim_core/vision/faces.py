@@ -19,15 +19,16 @@ from sim_core.vision.plane import Sight, undistorted
 
 Grey = NDArray[np.uint8]
 
-MOST_POINTS = 16
+MOST_POINTS = 24
 MOST_TILE_PIXELS = 5.0e5
-_APART = 0.16
+_APART = 0.11
 _MARGIN_PX = 12
 _WINDOW_PX = 15
 _AROUND_PX = 25
 _RETURN_PX = 0.5
 """A point that is followed there and back must come home to so near."""
-_COARSE = 4
+COARSE = 4
+"""How many times smaller a picture is made to look for a lost face."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +135,7 @@ class FaceTracker:
         self._plain: Grey = np.zeros(self._shape, np.uint8)
         self._reference = self._plain
         self._points = np.full((len(faces), MOST_POINTS, 2), np.nan)
-        self.before = np.full((len(faces), MOST_POINTS, 2), np.nan)
+        self._rays = np.full((len(faces), MOST_POINTS, 2), np.nan)
         self._depths = np.zeros((len(faces), MOST_POINTS))
 
     def refer(self, grey: Grey, sight: Sight, travel_m: float) -> None:
@@ -148,6 +149,14 @@ class FaceTracker:
         self._reference = self._evened(self._plain)
         if self._taken == 1:
             self._choose_points(sight, homographies)
+
+    def before(self, sight: Sight) -> Array:
+        """Where the points are on the standing load, along right and up [m], shape [n, points, 2]; NaN for no point.
+
+        The camera's pose is known better as the sled goes on: places are compared as one and the same pose has them.
+        """
+        flat = sight.on_plane(self._rays.reshape(-1, 2), self._side, self._depths.ravel(), 0.0)
+        return flat.reshape(self._rays.shape)
 
     def find(self, grey: Grey, sight: Sight, travel_m: float, foretold: Array, chosen: list[int]) -> Array:
         """Where the points are now, at the depth that they had, along right and up [m], shape [chosen, points, 2].
@@ -187,11 +196,20 @@ class FaceTracker:
         return after
 
     def search(
-        self, grey: Grey, sight: Sight, travel_m: float, foretold: Array, number: int, *, reach_m: float
+        self, coarse: Grey, sight: Sight, travel_m: float, foretold: Array, number: int, *, reach_m: float
     ) -> tuple[Array, float]:
-        """Looks for one face around where it is foretold, coarsely: a better motion, shape [3], and its correlation."""
+        """Looks for one face around where it is foretold: a better motion, shape [3], and its correlation.
+
+        Args:
+            coarse: the picture made ``COARSE`` times smaller: its pixels are means, not single ones of the picture's.
+            sight: the camera.
+            travel_m: of the sled.
+            foretold: shift along right and up [m] and turn [rad] of every face, shape [n, 3].
+            number: the face.
+            reach_m: how far to look.
+        """
         x, y, w, h = self._tiles[number]
-        size = (max(6, w // _COARSE), max(6, h // _COARSE))
+        size = (max(6, w // COARSE), max(6, h // COARSE))
         wanted = cv2.resize(self._plain[y : y + h, x : x + w], size, interpolation=cv2.INTER_AREA)
         step = np.array([w / size[0], h / size[1]]) * self.pixel_m
         border = np.ceil(reach_m / step).astype(int)
@@ -204,14 +222,8 @@ class FaceTracker:
             pixels = sight.project(corners, travel_m)
             if not np.isfinite(pixels).all():
                 continue
-            homography = _homography(wide, pixels)
-            # Coarse samples of a fine picture: its mean over a sample, not a single pixel.
-            cut = cv2.warpPerspective(
-                cv2.blur(grey, (_COARSE, _COARSE)),
-                homography,
-                wide,
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-            )
+            homography = _homography(wide, (pixels + 0.5) / COARSE - 0.5)
+            cut = cv2.warpPerspective(coarse, homography, wide, flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP)
             score = cv2.matchTemplate(cut, wanted, cv2.TM_CCOEFF_NORMED)
             _, peak, _, at = cv2.minMaxLoc(score)
             if peak > best_score:
@@ -270,7 +282,8 @@ class FaceTracker:
                 continue
             spots = strong.reshape(-1, 2).astype(float)
             pixels = _mapped(spots, np.broadcast_to(homographies[number], (len(spots), 3, 3)))
-            points = _on_face(undistorted(pixels, sight.view.matrix, sight.view.distortion), sight, face)
+            rays = undistorted(pixels, sight.view.matrix, sight.view.distortion)
+            points = _on_face(rays, sight, face)
             places = in_plane(points, side)
             hidden = np.zeros(len(places), dtype=bool)
             for outline, depth in zip(outlines, depths, strict=True):
@@ -279,7 +292,7 @@ class FaceTracker:
                     hidden |= ((places > low) & (places < high)).all(axis=1)
             kept = np.flatnonzero(~hidden)[:MOST_POINTS]
             self._points[number, : len(kept)] = spots[kept] + (x, y)
-            self.before[number, : len(kept)] = places[kept]
+            self._rays[number, : len(kept)] = rays[kept]
             self._depths[number, : len(kept)] = points[kept] @ side.normal
 
 

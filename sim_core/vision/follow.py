@@ -3,13 +3,14 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from config.scene import Scene
 from sim_core.camera.layout import side_of
 from sim_core.frames import Array
-from sim_core.vision.faces import MOST_POINTS, Face, FaceTracker, in_plane, moved_in_plane
+from sim_core.vision.faces import COARSE, MOST_POINTS, Face, FaceTracker, in_plane, moved_in_plane
 from sim_core.vision.motion import Motions, fit_motions
 from sim_core.vision.plane import Sight
 from sim_core.vision.tags import TagTracker
@@ -22,7 +23,9 @@ TRACKED: State = "tracked"
 FACE_POINT_PX, TAG_POINT_PX = 0.06, 0.1
 """Least standard deviation of a point of a carton's print, and of a tag's corner."""
 TOLERANCE_PX = 1.5
-LEAST_POINTS, LEAST_SHARE = 4, 0.3
+LEAST_POINTS, LEAST_SHARE = 4, 0.2
+STRONG_SHARE, WEAK_REACH, MOST_SPREAD_PX = 0.45, 0.15, 0.4
+"""Where less than this share of the points agrees, packages leap less far, and the points must agree better."""
 BLUR_PX = 3.0
 JUMP_M, JUMP_MORE_M, MOST_JUMP_M = 0.08, 0.05, 0.35
 """How far a package may be from where its speed foretells it; how much more for each picture without it; the most."""
@@ -85,7 +88,7 @@ class PackageFollower:
         """Takes a picture of the load as it stands before the start."""
         self._tracker.refer(grey, sight, 0.0)
         if self._tags is not None:
-            self._tags.refer(self._find_tags(grey, sight, 0.0))
+            self._tags.refer(grey, sight, self._load_region(sight, 0.0))
 
     def follow(self, grey: Grey, sight: Sight, travel_m: float, step_s: float) -> Followed:
         """Takes the next picture.
@@ -114,7 +117,7 @@ class PackageFollower:
 
     def _by_print(self, grey: Grey, sight: Sight, travel: float, foretold: Array) -> tuple[Motions, Flags]:
         """Motions by the faces' print, and which to believe; what was lost is looked for, a few a picture."""
-        before = self._tracker.before
+        before = self._tracker.before(sight)
         after = np.full((len(self._faces), MOST_POINTS, 2), np.nan)
         nobody = np.zeros(len(self._faces), dtype=bool)
         looked = np.flatnonzero(self._missed < _GIVEN_UP_AFTER).tolist()
@@ -125,9 +128,12 @@ class PackageFollower:
         # The least long lost first.
         lost = sorted((k for k in looked if not good[k]), key=lambda k: int(self._missed[k]))
         again, found = foretold.copy(), []
+        coarse = _shrunk(grey) if lost else grey
         for number in lost[:_SEARCHES_A_PICTURE]:
             reach = float(self._reach_m[number])
-            again[number], score = self._tracker.search(grey, sight, travel, foretold, number, reach_m=reach)
+            again[number], score = self._tracker.search(
+                coarse, sight, travel, foretold, number, reach_m=reach
+            )
             if score > _LEAST_MATCH:
                 found.append(number)
         if found:
@@ -141,8 +147,8 @@ class PackageFollower:
     ) -> tuple[Motions, Flags, Flags]:
         """The same with the tags read: they know which package is which."""
         assert self._tags is not None
-        tagged = self._find_tags(grey, sight, travel)
-        both = np.where(np.isfinite(tagged), self._tags.before, np.nan)
+        tagged = self._tags.find(grey, sight, travel, self._load_region(sight, travel))
+        both = np.where(np.isfinite(tagged), self._tags.before(sight), np.nan)
         is_read = np.isfinite(both).all(axis=2).sum(axis=1) >= LEAST_POINTS
         rough = np.nan_to_num(np.nanmean(np.where(is_read[:, None, None], tagged - both, 0.0), axis=1))
         told = np.where(is_read[:, None], np.column_stack((rough, foretold[:, 2])), foretold)
@@ -153,13 +159,13 @@ class PackageFollower:
         merged = motions.replaced(by_tags, is_taken)
         return merged, self._are_good(merged, is_taken, foretold) & (good | is_taken), is_taken
 
-    def _find_tags(self, grey: Grey, sight: Sight, travel: float) -> Array:
-        assert self._tags is not None
+    def _load_region(self, sight: Sight, travel: float) -> tuple[int, int, int, int]:
+        """Where in the picture the load was last, and a little around it: left, top, right and bottom [px]."""
         pixels = sight.project(self._outlines(self._motion).reshape(-1, 3), travel)
         reach = 0.1 / self.pixel_m
         low = np.clip(np.nanmin(pixels, axis=0) - reach, 0, self._size).astype(int).tolist()
         high = np.clip(np.nanmax(pixels, axis=0) + reach, 0, self._size).astype(int).tolist()
-        return self._tags.find(grey, sight, travel, (low[0], low[1], high[0], high[1]))
+        return low[0], low[1], high[0], high[1]
 
     def _fitted(
         self, before: Array, after: Array, near: Array, is_tagged: Flags, travel: float, sight: Sight
@@ -188,7 +194,11 @@ class PackageFollower:
         """
         good = (motions.used >= LEAST_POINTS) & (motions.share >= LEAST_SHARE)
         leap = np.linalg.norm(motions.centre - foretold[:, :2], axis=1)
-        good &= is_tagged | (leap < self._reach_m)
+        # The fewer points agree, the less of a surprise is believed.
+        is_strong = motions.share >= STRONG_SHARE
+        is_sharp = motions.spread_m < MOST_SPREAD_PX * self.pixel_m
+        good &= is_tagged | (leap < self._reach_m * np.where(is_strong, 1.0, WEAK_REACH))
+        good &= is_strong | (is_sharp & (motions.used > LEAST_POINTS + 1))
         places = np.where(good[:, None], self._centres + motions.centre, np.nan)
         apart = np.linalg.norm(places[:, None] - places[None], axis=2)
         room = 0.5 * np.minimum(self._narrow[:, None], self._narrow[None])
@@ -230,3 +240,10 @@ class PackageFollower:
         self._rate = np.where(good[:, None], rate, self._rate)
         self._motion = np.where(good[:, None], motion, self._motion)
         self._missed = np.where(good, 0, self._missed + 1)
+
+
+def _shrunk(grey: Grey) -> Grey:
+    height, width = grey.shape
+    size = (width // COARSE, height // COARSE)
+    whole = grey[: size[1] * COARSE, : size[0] * COARSE]
+    return np.asarray(cv2.resize(whole, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -18,7 +18,7 @@ from sim_core.camera.view import CameraView
 from sim_core.frames import Array
 from sim_core.sled import build_profile
 
-TARGET_SIGMA_PX = 0.08
+TARGET_SIGMA_PX = 0.02
 """Least standard deviation of a target's centre, as measured on rendered pictures: few targets hide it in a fit."""
 SLOPE_SIGMA = 2.0e-3
 """How straight with the board the rails may be taken to run [rad]."""

@@ -11,6 +11,7 @@ from sim_core.vision.faces import Face, placed
 from sim_core.vision.plane import Sight, undistorted
 
 Grey = NDArray[np.uint8]
+Region = tuple[int, int, int, int]
 
 CORNERS_A_PACKAGE = 8
 
@@ -22,10 +23,6 @@ class TagTracker:
         scene: a resolved scene whose camera has markers.
         faces: the faces that carry them.
         pixel_m: about the size of a pixel on the faces [m].
-
-    Attributes:
-        before: corners of each package's tags on the standing load, along right and up, frame ``sled`` [m],
-            shape [n, 8, 2]; NaN where none was read.
     """
 
     def __init__(self, scene: Scene, faces: list[Face], pixel_m: float) -> None:
@@ -53,18 +50,22 @@ class TagTracker:
         self._row_of = np.repeat(owners, 4)
         self._place_of = (4 * second[:, None] + np.arange(4)).ravel()
         self._count = len(faces)
-        self._sum = np.zeros((len(faces), CORNERS_A_PACKAGE, 2))
-        self._taken = np.zeros((len(faces), CORNERS_A_PACKAGE, 1))
-        self.before = np.full((len(faces), CORNERS_A_PACKAGE, 2), np.nan)
+        self._sum = np.zeros((4 * len(markers), 2))
+        self._taken = np.zeros((4 * len(markers), 1))
 
-    def refer(self, places: Array) -> None:
-        """Takes what ``find`` gave for the load as it stands before the start; several are averaged."""
-        seen = np.isfinite(places).all(axis=2, keepdims=True)
-        self._sum += np.where(seen, np.nan_to_num(places), 0.0)
+    def refer(self, grey: Grey, sight: Sight, region: Region) -> None:
+        """Takes a picture of the load as it stands before the start; several are averaged."""
+        rays = self._rays(grey, sight, region)
+        seen = np.isfinite(rays).all(axis=1, keepdims=True)
+        self._sum += np.where(seen, np.nan_to_num(rays), 0.0)
         self._taken += seen
-        self.before = np.where(self._taken > 0, self._sum / np.maximum(self._taken, 1), np.nan)
 
-    def find(self, grey: Grey, sight: Sight, travel_m: float, region: tuple[int, int, int, int]) -> Array:
+    def before(self, sight: Sight) -> Array:
+        """Where the corners are on the standing load, along right and up [m], shape [n, 8, 2]; NaN where not read."""
+        mean = np.where(self._taken > 0, self._sum / np.maximum(self._taken, 1), np.nan)
+        return self._sorted(sight.on_plane(mean, self._side, self._depths, 0.0))
+
+    def find(self, grey: Grey, sight: Sight, travel_m: float, region: Region) -> Array:
         """Where the tags' corners are, at the depth that they had, along right and up [m], shape [n, 8, 2].
 
         Args:
@@ -73,13 +74,22 @@ class TagTracker:
             travel_m: of the sled.
             region: where to look: left, top, right and bottom [px].
         """
-        pixels = self._read(grey, region).reshape(-1, 2)
-        rays = undistorted(pixels, sight.view.matrix, sight.view.distortion)
-        places = np.full((self._count, CORNERS_A_PACKAGE, 2), np.nan)
-        places[self._row_of, self._place_of] = sight.on_plane(rays, self._side, self._depths, travel_m)
-        return places
+        return self._sorted(
+            sight.on_plane(self._rays(grey, sight, region), self._side, self._depths, travel_m)
+        )
 
-    def _read(self, grey: Grey, region: tuple[int, int, int, int]) -> Array:
+    def _sorted(self, places: Array) -> Array:
+        """Places of all tags' corners by package, shape [4·tags, 2] to [n, 8, 2]."""
+        by_package = np.full((self._count, CORNERS_A_PACKAGE, 2), np.nan)
+        by_package[self._row_of, self._place_of] = places
+        return by_package
+
+    def _rays(self, grey: Grey, sight: Sight, region: Region) -> Array:
+        """Undistorted rays of all tags' corners, shape [4·tags, 2]; NaN where not found."""
+        pixels = self._read(grey, region).reshape(-1, 2)
+        return undistorted(pixels, sight.view.matrix, sight.view.distortion)
+
+    def _read(self, grey: Grey, region: Region) -> Array:
         """Corners of every tag [px], shape [tag_count, 4, 2], clockwise from the upper left; NaN where not found."""
         corners = np.full((len(self._number), 4, 2), np.nan)
         left, top, right, bottom = region

@@ -28,7 +28,7 @@ from config.scene import Scene
 from config.wrap import FilmProperties, film_span, layers_at
 from sim_core.frames import Array
 from sim_core.geometry import rotation_matrices
-from sim_core.wrap.bordered import Factor, condense, expand, factorise, number_nodes
+from sim_core.wrap.bordered import Factor, factorise, number_nodes
 from sim_core.wrap.contact import EDGE, FACE, FREE, IDLE, find_faces, follow, ride, share_out
 from sim_core.wrap.edges import (
     ABSENT,
@@ -381,8 +381,7 @@ class LoadFilm:
     def _step(self, factor: Factor, positions: Array, turns: Array) -> bool:
         """One Newton step of nodes, slips and flows; False where the film gives way, and nothing was done."""
         numbering, border = self._numbering, self._border_nodes
-        inner, outer = np.empty(numbering.band_count), np.empty(numbering.border_count)
-        condense(numbering.places, self._pushes, factor.band, factor.arms, factor.reaches, inner, outer)
+        inner, outer = factor.condense(self._pushes)
         states = self._slips[border]
         kinds = self._kinds[border]
         states[kinds == FREE] = OPEN
@@ -393,7 +392,7 @@ class LoadFilm:
         moved = self._moved[border].ravel()
         limits = self._limits[border].ravel()
         slip_step(factor.core, outer, limits, moved, flat, moves, self._goal_n)
-        expand(numbering.places, moves, factor.band, factor.arms, factor.reaches, inner, self._steps)
+        factor.expand(moves, inner, self._steps)
         longest = float(np.abs(self._steps).max())
         if not longest <= WILD_STEPS * self._longest_m:
             return False

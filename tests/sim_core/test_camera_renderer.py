@@ -13,7 +13,7 @@ import pytest
 from config.scene import Scene
 from sim_core.camera.gl_drawing import projection_in_world
 from sim_core.camera.gl_window import GlMesh, GlWindow
-from sim_core.camera.layout import TARGET_RADIUS_M, markers_of, targets_of
+from sim_core.camera.layout import markers_of, targets_of
 from sim_core.camera.meshes import FIXED, edge_points, merged, quad
 from sim_core.camera.renderer import FALLBACK_VARIABLE, BenchRenderer
 from sim_core.camera.sensor import Lens, Window
@@ -91,7 +91,9 @@ def _shot(scene: Scene, *, index: int = 0, film: FilmFrame | None = None, **chan
     """The load as it was placed, on the sled at its start."""
     pallet = 0.5 * scene.pallet_box.size_m[2] if scene.pallet_box is not None else 0.0
     positions = np.array([(0.0, 0.0, pallet), *(package.position_m for package in scene.packages)])
-    orientations = np.array([(0, 0, 0, 1.0), *(yaw_quaternion(package.yaw_deg) for package in scene.packages)])
+    orientations = np.array(
+        [(0, 0, 0, 1.0), *(yaw_quaternion(package.yaw_deg) for package in scene.packages)]
+    )
     at = {"sled": np.zeros(3), "velocity": np.zeros(3), "interval_s": 0.0, **changes}
     at = {"positions": positions, "orientations": orientations, **at}
     return Shot(
@@ -111,7 +113,12 @@ def _film(scene: Scene, torn: tuple[int, ...] = ()) -> FilmFrame:
     for column in range(4 * count):
         for row in range(count):
             heights = low + (high - low) * (row + np.array([0, 1])) / count
-            cell = [(column, heights[0]), (column + 1, heights[0]), (column + 1, heights[1]), (column, heights[1])]
+            cell = [
+                (column, heights[0]),
+                (column + 1, heights[0]),
+                (column + 1, heights[1]),
+                (column, heights[1]),
+            ]
             for triangle in ((0, 1, 2), (0, 2, 3)):
                 corners.append([(*around[cell[k][0]], cell[k][1]) for k in triangle])
                 unrolled.append([(steps[cell[k][0]], cell[k][1]) for k in triangle])
@@ -175,7 +182,11 @@ def test_a_package_fills_its_projection(
             orientations=np.array([[0, 0, 0, 1.0], [*(axis / (4.0 * w)), w]]),
         )
         outline = cv2.projectPoints(
-            corners @ turn.T + place, cv2.Rodrigues(view.rotation)[0], view.translation, view.matrix, view.distortion
+            corners @ turn.T + place,
+            cv2.Rodrigues(view.rotation)[0],
+            view.translation,
+            view.matrix,
+            view.distortion,
         )[0]
         expected = np.zeros((view.height, view.width), np.uint8)
         hull = cv2.convexHull(np.round(outline * 256.0).astype(np.int32))
@@ -195,16 +206,16 @@ def test_targets_and_tags_are_where_they_are_put(layer: Callable[..., Scene]):
     sled = np.array([0.4, 0.0, 0.0])
     picture = cv2.cvtColor(renderer.picture(_shot(scene, sled=sled)), cv2.COLOR_RGB2GRAY)
     view = renderer.view
-    reach = 0.5 * TARGET_RADIUS_M
-    for centre in targets_of(scene) + sled:
-        # Black are upper left and lower right, as the camera sees them.
-        around = centre + reach * np.array([[-1, 0, 1], [1, 0, -1], [1, 0, 1], [-1, 0, -1]])
-        levels = [picture[round(v), round(u)] for u, v in view.project(around)]
-        assert max(levels[:2]) < 60
-        assert min(levels[2:]) > 150
+    for u, v in view.project(targets_of(scene) + sled):
+        # Upper left is black and upper right is white: what is white of a few rows tells the line between them.
+        column, row = round(u), round(v)
+        line = picture[row - 5 : row - 1, column - 5 : column + 6].mean(axis=0)
+        assert line[0] < 60
+        assert line[-1] > 150
+        assert column + 5.5 - ((line - line[0]) / (line[-1] - line[0])).sum() == pytest.approx(u, abs=0.05)
     tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
     settings = cv2.aruco.DetectorParameters()
-    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
     found, numbers, _ = cv2.aruco.ArucoDetector(tags, settings).detectMarkers(picture)
     markers = {marker.tag: marker for marker in markers_of(scene)}
     assert sorted(numbers.ravel().tolist()) == sorted(markers)
@@ -212,8 +223,9 @@ def test_targets_and_tags_are_where_they_are_put(layer: Callable[..., Scene]):
         marker = markers[tag]
         place = np.array(scene.packages[marker.package - 1].position_m) + sled
         expected = view.project(marker.corners + place)
-        # AprilTag counts from the upper left corner of the first pixel, and not from its middle.
-        assert np.linalg.norm(quad_seen[0] - 0.5 - expected, axis=1).max() < 0.5
+        misses = quad_seen[0] - expected
+        assert np.linalg.norm(misses, axis=1).max() < 0.75
+        assert np.linalg.norm(misses.mean(axis=0)) < 0.25
     renderer.close()
 
 
@@ -257,7 +269,8 @@ def test_torn_film_is_missing(material: str, layer: Callable[..., Scene]):
         for film in (None, _film(scene, torn=tuple(range(count))), _film(scene))
     )
     renderer.close()
-    assert np.array_equal(bare, torn)
+    # Drawn in other parts, a pixel may round to the next level.
+    assert np.abs(bare - torn).max() <= 1
     assert (np.abs(whole - bare).max(axis=2) > 3).mean() > 0.03
 
 
@@ -298,7 +311,9 @@ def test_what_moves_is_blurred_over_the_exposure_before_the_stamp(
     assert np.diff(ramp)[0] == pytest.approx(0.8 * (right[0] - left[0]), abs=1.0)
 
 
-def test_bare_pallet_and_load_without_pallet_are_drawn(box: Callable[..., Any], make_scene: Callable[..., Scene]):
+def test_bare_pallet_and_load_without_pallet_are_drawn(
+    box: Callable[..., Any], make_scene: Callable[..., Scene]
+):
     sheet = box("sheet", size=(1.0, 0.7, 0.004), kind="interlayer", bottom=0.25)
     for scene in (
         make_scene(camera=_SMALL),
