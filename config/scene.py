@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, model_validator
 
+from config.bench import ImuSource
 from config.camera import Camera
 from config.materials import material_library
 from config.package import EdgeLength, Finite, Package, Point3
@@ -201,7 +202,18 @@ class RecordedSled(Part):
 
     profile: Literal["recorded"]
     bag: str = Field(default="", description="bag to take the samples from, relative to the scene file")
+    topic: str = Field(
+        default="",
+        description="its topic, sled/acceleration of a twin or any Imu; by default the former, else the only Imu",
+    )
+    direction: Direction = Field(default="+x", description="of the travel, where an accelerometer saw it")
     samples_mps2: tuple[Point3, ...] = Field(default=(), max_length=1_000_000)
+    level_mps2: float | None = Field(
+        default=None, ge=0.0, description="what counts as peak acceleration; None: that of the samples [m/s²]"
+    )
+    source: ImuSource | None = Field(
+        default=None, description="what was found in the accelerometer's readings behind the samples"
+    )
 
 
 Sled = Annotated[EumosSled | TableSled | RecordedSled, Field(discriminator="profile")]

@@ -26,20 +26,25 @@ class SledProfile:
         accelerations: acceleration at the knots [m/s²], shape [knot_count, 3], frame ``world``.
         velocities: velocity at the knots [m/s], shape [knot_count, 3].
         positions: position at the knots [m], shape [knot_count, 3].
+        level_mps2: what counts as peak acceleration where the knots carry noise [m/s²], or None.
     """
 
     times: Array
     accelerations: Array
     velocities: Array
     positions: Array
+    level_mps2: float | None = None
 
     @classmethod
-    def from_knots(cls, times: Array, accelerations: Array) -> "SledProfile":
+    def from_knots(
+        cls, times: Array, accelerations: Array, *, level_mps2: float | None = None
+    ) -> "SledProfile":
         """Integrates the knots; before the first one the sled stands, after the last it coasts.
 
         Args:
             times: knot times [s], never falling, shape [knot_count].
             accelerations: acceleration at the knots [m/s²], shape [knot_count, 3].
+            level_mps2: what counts as peak acceleration, where that is not the knots' largest [m/s²].
         """
         steps = np.diff(times)[:, None]
         before, after = accelerations[:-1], accelerations[1:]
@@ -47,7 +52,7 @@ class SledProfile:
         velocities[1:] = np.cumsum(0.5 * (before + after) * steps, axis=0)
         positions = np.zeros_like(accelerations)
         positions[1:] = np.cumsum(velocities[:-1] * steps + (2.0 * before + after) * steps**2 / 6.0, axis=0)
-        return cls(times, accelerations, velocities, positions)
+        return cls(times, accelerations, velocities, positions, level_mps2)
 
     @property
     def end_s(self) -> float:
@@ -56,7 +61,9 @@ class SledProfile:
 
     @property
     def peak_mps2(self) -> float:
-        """Largest magnitude of the acceleration [m/s²]."""
+        """Largest magnitude of the acceleration, or what counts as that [m/s²]."""
+        if self.level_mps2 is not None:
+            return self.level_mps2
         return float(np.linalg.norm(self.accelerations, axis=1).max())
 
     def state(self, time_s: float) -> tuple[Array, Array, Array]:
@@ -91,7 +98,9 @@ def build_profile(scene: Scene) -> SledProfile:
     if isinstance(sled, RecordedSled):
         if not sled.samples_mps2:
             raise RefusedInput("sled.bag", sled.bag, "its samples are not loaded, or it has none")
-        return _held_samples(np.array(sled.samples_mps2), scene.sampling.samples_hz)
+        return _held_samples(
+            np.array(sled.samples_mps2), scene.sampling.samples_hz, level_mps2=sled.level_mps2
+        )
     if isinstance(sled, EumosSled):
         times, along = eumos_knots(sled)
     else:
@@ -132,12 +141,13 @@ def _table_knots(sled: TableSled) -> tuple[Array, Array]:
     return times, along
 
 
-def _held_samples(samples: Array, rate_hz: int) -> SledProfile:
+def _held_samples(samples: Array, rate_hz: int, *, level_mps2: float | None) -> SledProfile:
     """Each sample held over its interval; sample 0 has none."""
     edges = np.arange(len(samples)) / rate_hz
     held = samples[1:]
     times = np.concatenate([np.repeat(edges, 2)[1:-1], edges[-1:]])
-    return SledProfile.from_knots(times, np.concatenate([np.repeat(held, 2, axis=0), np.zeros((1, 3))]))
+    knots = np.concatenate([np.repeat(held, 2, axis=0), np.zeros((1, 3))])
+    return SledProfile.from_knots(times, knots, level_mps2=level_mps2)
 
 
 def stamp_ns(index: int, rate_hz: int, epoch_ns: int) -> int:

@@ -90,8 +90,12 @@ class FilmLook:
             colours = strain_colours(frame.strains[:, 0].astype(float), self._strain_end) ** 2
             tints = np.hstack((colours, np.full((len(colours), 1), _STRAINED.opacity)))
             self.mesh.set("tint", np.repeat(tints, 3, axis=0))
+        shown = whole
+        if len(whole) == len(corners):
+            # Behind a load in whole film its far sides can't be seen.
+            shown = whole[np.einsum("mi,mi->m", own, self._eye - corners[:, 0]) > 0.0]
         # What is nearer is drawn over what is farther.
-        order = whole[np.argsort(-distances.reshape(-1, 3).mean(axis=1)[whole], kind="stable")]
+        order = shown[np.argsort(-distances.reshape(-1, 3).mean(axis=1)[shown], kind="stable")]
         self.mesh.set_triangles(3 * order[:, None] + np.arange(3))
         return points
 

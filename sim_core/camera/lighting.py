@@ -16,8 +16,9 @@ from sim_core.camera.shaders import DEPTH_FRAGMENT, DEPTH_VERTEX
 from sim_core.camera.view import CameraView
 from sim_core.frames import Array
 
-BRIGHTNESS = 1.12
-"""Of all light, such that a white sheet that faces the camera is just not white in the picture."""
+_WHITE = 0.92
+"""Light that the camera gets from a white sheet that faces it: whoever set it up has exposed for that."""
+_DARKEST = 0.2
 _SOFT_M, _WIDE_M = 0.035, 0.22
 _LAMP_TEXEL_M, _SKY_TEXEL_M = 0.006, 0.02
 _LONGEST_PX = 1024
@@ -110,6 +111,11 @@ class Lighting:
         self._lamp = lamp_direction(light, view, side)
         self._share = light.share
         self._casts = light.shadows
+        back = -view.rotation[2] * np.array([1.0, 1.0, 0.0])
+        facing = max(0.0, float(self._lamp @ back) / max(float(np.linalg.norm(back)), 1.0e-3))
+        # The shaders' light on an upright sheet with nothing around it.
+        sheet = (1.0 - self._share) * 0.83 + 1.55 * self._share * facing
+        self._brightness = _WHITE / max(sheet, _DARKEST)
         upwards = np.array([0.0, 0.0, 1.0])
         texels = {"lamp": max(_LAMP_TEXEL_M, pixel_m), "sky": max(_SKY_TEXEL_M, 2.0 * pixel_m)}
         self._maps = {
@@ -126,7 +132,7 @@ class Lighting:
             mesh.set_uniform(f"{name}_from_world", own.from_world(np.zeros(3)))
         mesh.set_uniform("lamp", self._lamp)
         mesh.set_uniform("lamp_share", self._share)
-        mesh.set_uniform("brightness", BRIGHTNESS)
+        mesh.set_uniform("brightness", self._brightness)
         mesh.set_uniform("eye", self._eye)
         mesh.set_uniform("axis", self._axis)
 

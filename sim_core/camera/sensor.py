@@ -115,6 +115,7 @@ def busy_parts(boxes: Array, *, width: int, height: int, largest: tuple[int, int
     if not np.isfinite(boxes).all():
         boxes = np.array([[0.0, 0.0, width, height]])
     runs: list[list[int]] = []
+    wasted = 0
     for left in range(0, width, _COLUMN_PX):
         right = min(left + _COLUMN_PX, width)
         own = boxes[(boxes[:, 0] < right) & (boxes[:, 2] >= left)]
@@ -126,10 +127,12 @@ def busy_parts(boxes: Array, *, width: int, height: int, largest: tuple[int, int
             last = runs[-1]
             joined = [last[0], right, min(last[2], top), max(last[3], bottom)]
             more = _area(joined) - _area(last) - (right - left) * (bottom - top)
-            if more < _DRAW_PX:
+            if wasted + more < _DRAW_PX:
                 runs[-1] = joined
+                wasted += more
                 continue
         runs.append([left, right, top, bottom])
+        wasted = 0
     parts = []
     for left, right, top, bottom in runs:
         across, down = -(-(right - left) // largest[0]), -(-(bottom - top) // largest[1])

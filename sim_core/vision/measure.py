@@ -40,7 +40,9 @@ class Measurement:
         sigma: standard uncertainty of each [m], shape [n, 5, 2].
         turn: of each face in the picture's plane, counter-clockwise [rad], shape [n].
         states: of each package.
-        rays: undistorted, of the points as the displacements have them, shape [n, 5, 2].
+        start_rays: undistorted, of the points on the standing load before the start, as the camera's pose was known at
+            this picture, shape [n, 5, 2].
+        rays: of the points now, in the same way, shape [n, 5, 2].
         target_rays: undistorted, of the sled's targets, shape [target_count, 2]; NaN where not seen.
     """
 
@@ -53,6 +55,7 @@ class Measurement:
     sigma: Array
     turn: Array
     states: tuple[State, ...]
+    start_rays: Array
     rays: Array
     target_rays: Array
 
@@ -140,12 +143,13 @@ class DisplacementMeasurer:
     def displacements(self) -> tuple[Array, Array]:
         """All displacements and standard uncertainties through the pose as known now [m], shape [pictures, n, 5, 2]."""
         sight = self.finder.sight
-        start = self._places(sight, self.measurements[0].rays, 0.0)
-        moved, sigma = [np.zeros_like(start)], [np.zeros_like(start)]
+        moved, sigma = [np.zeros_like(self._variances[0])], [np.zeros_like(self._variances[0])]
         for measured, own in zip(self.measurements[1:], self._variances[1:], strict=True):
             travel = self.finder.travel(measured.target_rays, near_m=measured.sled_m)[0]
+            start = self._places(sight, measured.start_rays, 0.0)
             moved.append(self._places(sight, measured.rays, travel) - start)
-            sigma.append(np.sqrt(own + self._pose_variance(measured.rays, measured.target_rays, travel)))
+            rays = measured.start_rays, measured.rays, measured.target_rays
+            sigma.append(np.sqrt(own + self._pose_variance(*rays, travel)))
         return np.array(moved), np.array(sigma)
 
     def _begin(self, stamp_ns: int, grey: Grey) -> Measurement:
@@ -216,10 +220,18 @@ class DisplacementMeasurer:
         depths = np.repeat(self._depths, rays.shape[1])
         return sight.on_plane(rays.reshape(-1, 2), self.side, depths, travel_m).reshape(rays.shape)
 
-    def _pose_variance(self, rays: Array, target_rays: Array, travel_m: float) -> Array:
+    def _rays_of(self, sight: Sight, places: Array, travel_m: float) -> Array:
+        """The other way round: undistorted rays of places on the faces' planes, shape [n, k, 2]."""
+        points = (
+            places[..., :1] * self.side.right
+            + self._depths[:, None, None] * self.side.normal
+            + places[..., 1:] * np.array([0.0, 0.0, 1.0])
+        )
+        return self._rays(sight.project(points.reshape(-1, 3), travel_m)).reshape(places.shape)
+
+    def _pose_variance(self, start_rays: Array, rays: Array, target_rays: Array, travel_m: float) -> Array:
         """What the pose's uncertainty does to the displacement of the faces' centres [m²], shape [n, 1, 2]."""
-        sight, middle = self.finder.sight, rays[:, :1]
-        first = self.measurements[0].rays[:, :1]
+        sight, middle, first = self.finder.sight, rays[:, :1], start_rays[:, :1]
         base = self._places(sight, middle, travel_m) - self._places(sight, first, 0.0)
         total = np.zeros_like(base)
         for other in sight.varied():
@@ -232,20 +244,15 @@ class DisplacementMeasurer:
         self, stamp_ns: int, targets: Array, sled: tuple[float, float], followed: Followed
     ) -> Measurement:
         sight = self.finder.sight
-        places = self._spots + followed.displacement
-        points = (
-            places[..., :1] * self.side.right
-            + self._depths[:, None, None] * self.side.normal
-            + places[..., 1:] * np.array([0.0, 0.0, 1.0])
-        )
-        rays = self._rays(sight.project(points.reshape(-1, 3), sled[0])).reshape(places.shape)
+        start_rays = self._rays_of(sight, self._spots, 0.0)
+        rays = self._rays_of(sight, self._spots + followed.displacement, sled[0])
         target_rays = self._rays(targets)
         own = followed.variance.copy()
         pose = np.zeros_like(own)
         if self.measurements:
             own += np.where(followed.by_tags, TAG_FLOOR_M, PRINT_FLOOR_M)[:, None, None] ** 2
             own[..., 0] += sled[1] ** 2
-            pose = self._pose_variance(rays, target_rays, sled[0])
+            pose = self._pose_variance(start_rays, rays, target_rays, sled[0])
         self._variances.append(own)
         first_ns = self.measurements[0].stamp_ns if self.measurements else stamp_ns
         return Measurement(
@@ -258,6 +265,7 @@ class DisplacementMeasurer:
             sigma=np.sqrt(own + pose),
             turn=followed.turn,
             states=followed.states,
+            start_rays=start_rays,
             rays=rays,
             target_rays=target_rays,
         )

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from sim_core.frames import Array
 
 _HYPOTHESES = 32
+_ITERATIONS, _LOOSE_ITERATIONS = 9, 3
+LOOSE_NEARER_M, LOOSE_TURNED_RAD = 0.03, 0.1
 NEARER_M, TURNED_RAD = 3.0e-4, 1.0e-3
 """How far packages that hardly move come nearer, or turn out of the picture's plane: standard deviations, as simulated
 loads on a EUR pallet do at 0.3 g to 0.8 g."""
@@ -111,14 +113,14 @@ def fit_motions(
     shift = np.nan_to_num(after - centres[:, None])
     p, q = arm[..., 0] + 1j * arm[..., 1], shift[..., 0] + 1j * shift[..., 1]
     place, turn, agree = _consensus(p, q, found, tolerance_m)
+    usual = np.column_stack((NEARER_M + NEARER_SHARE * moved_m, *2 * [TURNED_RAD + TURNED_SHARE * moved_m]))
     prior = np.zeros((count, 6))
-    prior[:, 3] = 1.0 / (NEARER_M + NEARER_SHARE * moved_m) ** 2
-    prior[:, 4:] = 1.0 / ((TURNED_RAD + TURNED_SHARE * moved_m) ** 2)[:, None]
+    prior[:, 3:] = 1.0 / np.array([LOOSE_NEARER_M, LOOSE_TURNED_RAD, LOOSE_TURNED_RAD]) ** 2
     state = np.zeros((count, 6))
     state[:, 0], state[:, 1], state[:, 2] = place.real, place.imag, turn
     weight = agree.astype(float)
     spread = np.full(count, tolerance_m)
-    for _ in range(6):
+    for number in range(_ITERATIONS):
         model, columns = _model(state, p, centres, foot, distance)
         residual = np.nan_to_num(shift - model)
         off = np.linalg.norm(residual, axis=2)
@@ -128,9 +130,12 @@ def fit_motions(
         weight = found * np.clip(1.0 - (off / reach) ** 2, 0.0, None) ** 2
         scaled = weight / (spread**2)[:, None]
         normal = np.einsum("nkca,nk,nkcb->nab", columns, scaled, columns)
-        normal[:, range(6), range(6)] += prior + 1.0e-6 * np.array([1, 1, 1, 1, 1, 1])
+        normal[:, range(6), range(6)] += prior + 1.0e-6
         right = np.einsum("nkca,nk,nkc->na", columns, scaled, residual) - prior * state
         state = state + np.linalg.solve(normal, right[..., None])[..., 0]
+        if number >= _LOOSE_ITERATIONS - 1:
+            # Cauchy's distribution, by weights: small ones are held near zero, a large one that shows is let be.
+            prior[:, 3:] = 2.0 / (usual**2 + state[:, 3:] ** 2)
     used = (weight > 0.1).sum(axis=1)
     return Motions(
         centre=state[:, :2],
