@@ -20,7 +20,7 @@ from sim_core.frames import Array, FilmFrame
 from sim_core.geometry import rotation_matrices
 
 _NEAR_M, _FAR_M = 0.05, 100.0
-_LARGEST_PX = 1344
+_LARGEST_PX = 2048
 _OVERSAMPLING = 2
 _PLAIN = 150
 
