@@ -126,7 +126,7 @@ def show_measured(measured: "MeasuredBag", video: Path | None, *, as_json: bool)
     """What a recording's pictures say, beside the truth where it holds poses."""
     entry, truth = measured.entry, measured.truth
     if as_json:
-        beside = {
+        beside: dict[str, Any] = {
             "rms_error_mm": None,
             "largest_error_mm": None,
             "coverage": None,

@@ -27,5 +27,4 @@ def picture_of(encoded: bytes) -> NDArray[np.uint8]:
     found = cv2.imdecode(np.frombuffer(encoded, np.uint8), cv2.IMREAD_COLOR) if encoded else None
     if found is None:
         raise BrokenRecording("camera/image_raw/compressed.data", encoded[:8].hex(), "is not a picture")
-    picture: NDArray[np.uint8] = cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
-    return picture
+    return np.asarray(cv2.cvtColor(found, cv2.COLOR_BGR2RGB), dtype=np.uint8)

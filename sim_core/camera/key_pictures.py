@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import cv2
+import numpy as np
 
 from sim_core.camera.jpeg import jpeg_of
 from sim_core.camera.source import Picture
@@ -52,5 +53,5 @@ def _shown(name: str, time_s: float, picture: Picture) -> KeyPicture:
     if width <= SHOWN_WIDTH_PX:
         return KeyPicture(name, time_s, picture.jpeg, width, height)
     size = SHOWN_WIDTH_PX, round(height * SHOWN_WIDTH_PX / width)
-    small = cv2.resize(picture.pixels, size, interpolation=cv2.INTER_AREA)
+    small = np.asarray(cv2.resize(picture.pixels, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     return KeyPicture(name, time_s, jpeg_of(small, quality=SHOWN_QUALITY), *size)

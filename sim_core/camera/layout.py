@@ -19,6 +19,7 @@ BOARD_GAP_M = 0.03
 """How far the board with the targets stands before the load's near side."""
 BOARD_OVERHANG_M = 0.25
 TARGET_SPACING_M = 0.25
+RUN_ON_S = 0.5
 _FACING = np.cos(np.deg2rad(30.0))
 
 
@@ -177,9 +178,11 @@ def markers_of(scene: Scene) -> list[Marker]:
 
 
 def _travel(scene: Scene) -> Array:
-    """Places of the sled over the test [m], shape [n, 3]."""
+    """Places of the sled over the test [m], shape [n, 3]; where it doesn't stop, a little beyond the profile's end."""
     profile = build_profile(scene)
-    return np.array([profile.state(time_s)[2] for time_s in np.linspace(0.0, profile.end_s, 200)])
+    _, speed, _ = profile.state(profile.end_s)
+    end_s = profile.end_s + (RUN_ON_S if np.linalg.norm(speed) > 1.0e-6 else 0.0)
+    return np.array([profile.state(time_s)[2] for time_s in np.linspace(0.0, end_s, 200)])
 
 
 def _near_face(scene: Scene, row: int, side: Side) -> Array | None:

@@ -60,21 +60,20 @@ class Lens:
             pixels, view.matrix, view.distortion, criteria=(cv2.TERM_CRITERIA_COUNT, 30, 0.0)
         ).reshape(view.height, view.width, 2)
         self.focal = oversampling * float(view.matrix[0, 0])
-        self._map = (self.focal * rays).astype(np.float32)
+        places = (self.focal * rays).astype(np.float32)
         # Pixel n of the blurred picture is the mean of n - 1 and n: its middle lies half a pixel before. In fixed
         # point a place gets the same fraction in whichever part it is drawn; rendered rows run upwards.
         shift = 0.5 if oversampling == 2 else 0.0
         self._cells, self._shares = cv2.convertMaps(
-            self._map[..., 0] + np.float32(shift), np.float32(shift) - self._map[..., 1], cv2.CV_16SC2
+            places[..., 0] + np.float32(shift), np.float32(shift) - places[..., 1], cv2.CV_16SC2
         )
 
     def seen(self, part: Window) -> Window:
         """The part of the distortion-free picture that a part of the camera's needs."""
-        places = self._map[part.rows, part.columns]
-        rim = np.vstack((places[0], places[-1], places[:, 0], places[:, -1]))
-        low = np.floor(rim.min(axis=0)).astype(int) - 2
-        size = np.ceil(rim.max(axis=0)).astype(int) + 3 - low
-        return Window(int(low[0]), int(low[1]), int(size[0]), int(size[1]))
+        cells = self._cells[part.rows, part.columns]
+        rim = np.vstack((cells[0], cells[-1], cells[:, 0], cells[:, -1])).astype(int)
+        (left, bottom), (right, top) = rim.min(axis=0) - 3, rim.max(axis=0) + 3
+        return Window(int(left), int(-top), int(right - left) + 1, int(top - bottom) + 1)
 
     def bend(self, rendered: Picture, part: Window, seen: Window) -> Picture:
         """The camera's picture of a part from the distortion-free one, whose first row is at the bottom."""

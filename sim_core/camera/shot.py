@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.scene import Scene
-from sim_core.frames import Array, FilmFrame, PoseFrame, SledSample
+from sim_core.frames import Array, FilmFrame, PoseFrame
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,50 +48,6 @@ class Shot:
             self.sled - time_s * self.velocity,
             positions,
             turned / np.linalg.norm(turned, axis=1, keepdims=True),
-        )
-
-
-class ShotMaker:
-    """Makes the shots of a test from its samples, frames and film, in the order in which they come.
-
-    Args:
-        frames_a_picture: every so many pose frames there is a picture, from frame 0 on.
-    """
-
-    def __init__(self, frames_a_picture: int) -> None:
-        self._frames_a_picture = frames_a_picture
-        self._sample: SledSample | None = None
-        self._earlier: PoseFrame | None = None
-
-    def on_sample(self, sample: SledSample) -> None:
-        """Takes a sample of the sled."""
-        self._sample = sample
-
-    def is_due(self, frame: PoseFrame) -> bool:
-        """Whether a picture is taken at this frame."""
-        return frame.index % self._frames_a_picture == 0
-
-    def on_frame(self, frame: PoseFrame, film: FilmFrame | None) -> Shot | None:
-        """Takes a frame with the film as it was published last; gives the shot that is due with it, if any.
-
-        The sample of the same stamp has to be taken before.
-        """
-        earlier, self._earlier = self._earlier, frame
-        if not self.is_due(frame):
-            return None
-        assert self._sample is not None
-        before = earlier if earlier is not None else frame
-        return Shot(
-            index=frame.index // self._frames_a_picture,
-            stamp_ns=frame.stamp_ns,
-            sled=self._sample.position,
-            velocity=self._sample.velocity,
-            positions=frame.positions,
-            orientations=frame.orientations,
-            earlier_positions=before.positions,
-            earlier_orientations=before.orientations,
-            interval_s=(frame.stamp_ns - before.stamp_ns) * 1.0e-9,
-            film=film,
         )
 
 
