@@ -256,6 +256,30 @@ def render(
 
 
 @app.command()
+def sheet(
+    scenes: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[SCENE]...", help="Scenes; without one, all shipped scenes."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="FILE", help="The picture, a .jpg or .png.")] = Path(
+        "runs/sheet.jpg"
+    ),
+    set_: SetOption = None,
+    width: Annotated[int, typer.Option(min=64, max=1920, help="Of one picture [px].")] = 480,
+) -> None:
+    """Put tests on one contact sheet: each at its start, at its largest displacement and at its end.
+
+    A scene without a camera gets the usual one.
+    """
+    from config.scene_file import shipped_scenes
+    from ros_nodes.sheet import write_sheet
+
+    with output.counter("contact sheet", quiet=False) as count:
+        write_sheet(scenes or shipped_scenes(), out, set_ or (), width_px=width, on_row=count)
+    print(f"sheet   {out}")
+
+
+@app.command()
 def accuracy(
     scene: Annotated[
         str | None,

@@ -478,7 +478,9 @@ class LoadTest:
         forces = self._fields.forces(positions, orientations) if self._fields is not None else None
         if self._film is None or not self._film_holds:
             return forces, None
-        if self._film_asked is None or not all(map(np.array_equal, self._film_asked, (positions, orientations))):
+        if self._film_asked is None or not all(
+            map(np.array_equal, self._film_asked, (positions, orientations))
+        ):
             self._film_asked = positions, orientations
             self._film_said = self._film.wrenches(positions, orientations)
         pulls, torques = self._film_said

@@ -20,6 +20,8 @@ BOARD_GAP_M = 0.03
 BOARD_OVERHANG_M = 0.25
 TARGET_SPACING_M = 0.25
 RUN_ON_S = 0.5
+LONGEST_SEEN_M = 8.0
+"""Of the travel: a sled that goes on leaves the picture."""
 _FACING = np.cos(np.deg2rad(30.0))
 
 
@@ -34,7 +36,7 @@ class Side:
         left_m: least place of load and pallet along ``right`` [m].
         right_m: greatest place along ``right`` [m].
         top_m: the load's height [m].
-        travel_m: least and greatest travel of the sled along ``right`` [m], shape [2].
+        travel_m: least and greatest travel of the sled along ``right`` that is looked at [m].
     """
 
     normal: Array
@@ -92,7 +94,7 @@ def side_of(scene: Scene) -> Side:
         top = max(top, pallet.size_m[2])
     points = np.vstack(outline) if outline else np.array([[-0.6, -0.4], [0.6, 0.4]])
     along, depth = points @ right[:2], points @ normal[:2]
-    moved = travel @ right
+    moved = np.clip(travel @ right, -LONGEST_SEEN_M, LONGEST_SEEN_M)
     return Side(
         normal=normal,
         right=right,
