@@ -20,7 +20,9 @@ class ImuSource(Part):
     longest_gap_ms: float = Field(description="longest time between two readings, anywhere [ms]")
     longest_gap_in_motion_ms: float = Field(description="the longest that was bridged [ms]; 0 without one")
     noise_mps2: Point3 = Field(description="standard deviation at rest, sensor's axes [m/s²]")
-    gravity_mps2: float = Field(description="magnitude of the reading at rest [m/s²]; about 0: taken off already")
+    gravity_mps2: float = Field(
+        description="magnitude of the reading at rest [m/s²]; about 0: taken off already"
+    )
     bias_mps2: Point3 = Field(
         description="sensor's axes [m/s²]; across the travel it cannot be told from a roll, and counts as roll"
     )
@@ -35,10 +37,16 @@ class ImuSource(Part):
     )
     moves_from_s: float = Field(description="start of the motion, since the first reading [s]")
     moves_until_s: float = Field(description="end of the motion, since the first reading [s]")
-    ends: Literal["standing", "coasting"] = Field(description="how the sled goes on after the last acceleration")
+    ends: Literal["standing", "coasting"] = Field(
+        description="how the sled goes on after the last acceleration"
+    )
     end_speed_mps: float = Field(description="speed that the readings leave at the end [m/s]")
-    drift_mps2: float = Field(description="constant that was taken off over the motion so that the sled stands [m/s²]")
-    speed_sigma_mps: float = Field(description="largest standard uncertainty of the speed, from the noise [m/s]")
+    drift_mps2: float = Field(
+        description="constant that was taken off over the motion so that the sled stands [m/s²]"
+    )
+    speed_sigma_mps: float = Field(
+        description="largest standard uncertainty of the speed, from the noise [m/s]"
+    )
     travel_sigma_mm: float = Field(description="standard uncertainty of the travel, from the noise [mm]")
     clock_offset_ms: float | None = Field(
         default=None, description="the recording's clock ahead of the sensor's, least delay included [ms]"

@@ -1,41 +1,21 @@
 """Reads a bag that is whole, and says in one line what is wrong with one that is not."""
 
-import struct
-import zlib
+import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any, Self
+from typing import Any, Self
 
-import zstandard
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import EndOfFile, McapError
-from mcap.reader import SeekingReader
-from mcap.records import Attachment, Channel, Footer, Metadata, Schema
-from mcap.stream_reader import CRCValidationError, StreamReader
-from mcap.summary import Summary
-from mcap.writer import MCAP0_MAGIC
+import numpy as np
+from numpy.typing import NDArray
 
 from config.errors import BrokenRecording
 from msgs_adapters.topics import Topic, message_class
-from recordings.bag_writer import UNFINISHED_SUFFIX
-from recordings.rosbag2_metadata import METADATA_FILE, parse_qos, read_file_name
-
-_CUT_SHORT = "was cut short: it has no end"
-_FOOTER_BYTES = 1 + 8 + 8 + 8 + 4
-_MAX_CHUNK_BYTES = 1 << 30
-# What the parsers raise on bytes that make no sense.
-_DAMAGE = (
-    McapError,
-    zstandard.ZstdError,
-    struct.error,
-    ValueError,
-    LookupError,
-    ArithmeticError,
-    MemoryError,
-)
+from recordings.bag_writer import CONTINUED_RECORD, UNFINISHED_SUFFIX
+from recordings.mcap_source import McapSource
+from recordings.receive_times import RECEIVE_TIMES, receive_times_of
+from recordings.rosbag2_metadata import METADATA_FILE, parse_qos, read_file_names
 
 
 @dataclass(frozen=True)
@@ -92,12 +72,16 @@ class BagMessage:
 
 
 class BagReader:
-    """An open recording: a rosbag2 directory or the MCAP file itself.
+    """An open recording: a rosbag2 directory, or one MCAP file of it.
 
-    Summary and index are checked when it is opened, each chunk when it is read, the whole file by `verify`.
-    Memory holds one chunk at a time, and those that overlap it in time.
+    Summary and index are checked when it is opened, each chunk when it is read, the whole recording by
+    `verify`. Memory holds one chunk at a time, and those that overlap it in time.
+
+    A directory of several files reads as one recording: what a file repeats of the one before it, so that it
+    stands on its own, is there once.
 
     Attributes:
+        path: the file, or the directory of several.
         topics: by absolute name, in the order in which they were added.
         start_ns: log time of the first message [ns]; 0 when there is none.
         end_ns: log time of the last message [ns].
@@ -107,26 +91,22 @@ class BagReader:
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = _mcap_file(Path(path))
-        with self._reading():
-            self._stream: IO[bytes] = self.path.open("rb")
+        files = mcap_files(Path(path))
+        self.path = files[0] if len(files) == 1 else Path(path)
+        self._parts: list[McapSource] = []
+        self._repeated: list[Mapping[str, int]] = []
         try:
-            with self._reading():
-                self._size = _check_ends(self.path, self._stream)
-                _check_summary_crc(self._stream, self._size)
-                self._stream.seek(0)
-                self._reader = SeekingReader(self._stream, validate_crcs=True, record_size_limit=self._size)
-                self._summary = self._checked_summary()
-                self.topics: Mapping[str, RecordedTopic] = {
-                    channel.topic: _recorded_topic(channel, self._summary)
-                    for channel in self._summary.channels.values()
-                }
+            for file in files:
+                part = McapSource(file)
+                self._parts.append(part)
+                self._repeated.append(_repeated(part) if len(self._parts) > 1 else {})
+            self.topics: Mapping[str, RecordedTopic] = self._all_topics()
         except BrokenRecording:
-            self._stream.close()
+            self.close()
             raise
-        statistics = self._summary.statistics
-        self.start_ns = statistics.message_start_time if statistics else 0
-        self.end_ns = statistics.message_end_time if statistics else 0
+        filled = [part.statistics for part in self._parts if part.statistics.message_count]
+        self.start_ns = min((statistics.message_start_time for statistics in filled), default=0)
+        self.end_ns = max((statistics.message_end_time for statistics in filled), default=0)
 
     @property
     def message_count(self) -> int:
@@ -135,13 +115,15 @@ class BagReader:
 
     @property
     def attachment_names(self) -> list[str]:
-        """Names of the attached files, in order."""
-        return [index.name for index in self._summary.attachment_indexes]
+        """Names of the attached files, in order; the times of reception aside."""
+        names = [index.name for part in self._parts for index in part.summary.attachment_indexes]
+        return [name for name in names if name != RECEIVE_TIMES]
 
     @property
     def metadata_names(self) -> list[str]:
-        """Names of the metadata records, in order."""
-        return [index.name for index in self._summary.metadata_indexes]
+        """Names of the metadata records, each once, in order."""
+        names = (index.name for part in self._parts for index in part.summary.metadata_indexes)
+        return list(dict.fromkeys(names))
 
     def messages(
         self,
@@ -164,7 +146,7 @@ class BagReader:
         for name in names:
             if name not in self.topics:
                 raise BrokenRecording("topic", name, self._lacks(self.topics))
-        return self._iterate(names, start_ns, end_ns)
+        return self._iterate(frozenset(names), start_ns, end_ns)
 
     def attachment(self, name: str) -> bytes:
         """The attached file of that name; the last one if there are several.
@@ -172,13 +154,10 @@ class BagReader:
         Raises:
             BrokenRecording: there is none, or it is damaged.
         """
-        for index in reversed(self._summary.attachment_indexes):
-            if index.name == name:
-                with self._reading():
-                    record = self._record_at(index.offset, index.length)
-                    if not isinstance(record, Attachment) or record.name != name:
-                        raise ValueError("the index points elsewhere")
-                    return bytes(record.data)
+        for part in reversed(self._parts):
+            for index in reversed(part.summary.attachment_indexes):
+                if index.name == name:
+                    return part.attachment(index.offset, name)
         raise BrokenRecording("attachment", name, self._lacks(self.attachment_names))
 
     def metadata(self, name: str) -> dict[str, str]:
@@ -187,29 +166,47 @@ class BagReader:
         Raises:
             BrokenRecording: there is none, or it is damaged.
         """
-        for index in reversed(self._summary.metadata_indexes):
-            if index.name == name:
-                with self._reading():
-                    record = self._record_at(index.offset, index.length)
-                    if not isinstance(record, Metadata) or record.name != name:
-                        raise ValueError("the index points elsewhere")
-                    return dict(record.metadata)
+        for part in reversed(self._parts):
+            for index in reversed(part.summary.metadata_indexes):
+                if index.name == name:
+                    return part.metadata(index.offset, name)
         raise BrokenRecording("metadata", name, self._lacks(self.metadata_names))
 
+    def receive_times(self, topic_name: str) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """When a topic's messages reached the recorder, on the wall clock.
+
+        Returns:
+            Sequence numbers, as `BagMessage.sequence` has them, and receptions [ns since 1970, in whole µs],
+            each of shape (n,); empty where the recorder kept none, as in a test without a graph.
+
+        Raises:
+            BrokenRecording: the recording has no such topic, or they are damaged.
+        """
+        if topic_name not in self.topics:
+            raise BrokenRecording("topic", topic_name, self._lacks(self.topics))
+        batches = [
+            receive_times_of(part.attachment(index.offset, RECEIVE_TIMES), topic_name)
+            for part in self._parts
+            for index in part.summary.attachment_indexes
+            if index.name == RECEIVE_TIMES
+        ]
+        empty = np.empty(0, dtype=np.int64)
+        sequences, times_ns = zip(*batches, strict=True) if batches else ((empty,), (empty,))
+        return np.concatenate(sequences), np.concatenate(times_ns)
+
     def verify(self) -> None:
-        """Reads the whole file once and compares every checksum in it.
+        """Reads the whole recording once, and compares every checksum and every count in it.
 
         Raises:
             BrokenRecording: something is damaged.
         """
-        with self._reading():
-            self._stream.seek(0)
-            for _ in StreamReader(self._stream, validate_crcs=True, record_size_limit=self._size).records:
-                pass
+        for part in self._parts:
+            part.verify()
 
     def close(self) -> None:
-        """Closes the file."""
-        self._stream.close()
+        """Closes the files."""
+        for part in self._parts:
+            part.close()
 
     def __enter__(self) -> Self:
         return self
@@ -219,124 +216,90 @@ class BagReader:
     ) -> None:
         self.close()
 
-    def _iterate(self, names: list[str], start_ns: int | None, end_ns: int | None) -> Iterator[BagMessage]:
-        # An own reader and stream position a call: two iterations may run side by side.
-        with self._reading(), self.path.open("rb") as stream:
-            reader = SeekingReader(stream, validate_crcs=True, record_size_limit=self._size)
-            for _, channel, message in reader.iter_messages(
-                names, starting_at=start_ns, ending_before=end_ns
-            ):
+    def _iterate(
+        self, names: frozenset[str], start_ns: int | None, end_ns: int | None
+    ) -> Iterator[BagMessage]:
+        types = {name: recorded.topic.type_name for name, recorded in self.topics.items()}
+        for part, repeated in zip(self._parts, self._repeated, strict=True):
+            for name, message in part.messages(names, start_ns, end_ns):
+                if name in repeated and message.sequence <= repeated[name]:
+                    continue
                 yield BagMessage(
-                    channel.topic,
-                    self.topics[channel.topic].topic.type_name,
-                    message.data,
-                    message.log_time,
-                    message.publish_time,
-                    message.sequence,
+                    name, types[name], message.payload, message.log_ns, message.publish_ns, message.sequence
                 )
 
-    def _checked_summary(self) -> Summary:
-        summary = self._reader.get_summary()
-        if summary is None or summary.statistics is None:
-            raise BrokenRecording("bag", str(self.path), "has no index")
-        if len(summary.chunk_indexes) != summary.statistics.chunk_count:
-            raise BrokenRecording("bag", str(self.path), "its index does not list every chunk")
-        for chunk in summary.chunk_indexes:
-            if chunk.uncompressed_size > _MAX_CHUNK_BYTES:
-                limit = f"a chunk must not be larger than {_MAX_CHUNK_BYTES} bytes"
-                raise BrokenRecording("bag.chunk", chunk.uncompressed_size, limit)
-        return summary
-
-    def _record_at(self, offset: int, length: int) -> Attachment | Metadata | object:
-        """The record at an offset; an attachment's own checksum is compared, a metadata record has none."""
-        self._stream.seek(offset)
-        raw = self._stream.read(length)
-        if raw and raw[0] == 0x09 and zlib.crc32(raw[9:-4]) != int.from_bytes(raw[-4:], "little") != 0:
-            raise ValueError("its checksum does not match")
-        self._stream.seek(offset)
-        return next(StreamReader(self._stream, skip_magic=True, record_size_limit=self._size).records)
+    def _all_topics(self) -> dict[str, RecordedTopic]:
+        topics: dict[str, RecordedTopic] = {}
+        for part, repeated in zip(self._parts, self._repeated, strict=True):
+            for channel in part.channels.values():
+                found = _recorded_topic(part, channel.id)
+                count = found.message_count - (channel.topic in repeated and found.message_count > 0)
+                known = topics.get(channel.topic)
+                if known is None:
+                    topics[channel.topic] = replace(found, message_count=count)
+                elif known.topic.type_name != found.topic.type_name:
+                    limit = f"is of type {known.topic.type_name} and of type {found.topic.type_name}"
+                    raise BrokenRecording("topic", channel.topic, limit)
+                else:
+                    # A topic of several publishers can have several channels, a long recording several files.
+                    topics[channel.topic] = replace(known, message_count=known.message_count + count)
+        return topics
 
     def _lacks(self, names: Iterable[str]) -> str:
         return f"{self.path.name} has no such; it has: {', '.join(names) or 'none'}"
 
-    @contextmanager
-    def _reading(self) -> Iterator[None]:
-        """Turns whatever a damaged file makes the parsers raise into one line."""
-        try:
-            yield
-        except EndOfFile:
-            raise BrokenRecording("bag", str(self.path), _CUT_SHORT) from None
-        except CRCValidationError:
-            raise BrokenRecording("bag", str(self.path), "is damaged: a checksum does not match") from None
-        except OSError as error:
-            raise BrokenRecording("bag", str(self.path), f"cannot be read: {error.strerror}") from None
-        except _DAMAGE as error:
-            raise BrokenRecording("bag", str(self.path), f"is damaged: {error}") from None
 
+def mcap_files(path: Path) -> list[Path]:
+    """The whole MCAP files that a user means by a directory or a file, in order.
 
-def _mcap_file(path: Path) -> Path:
-    """The MCAP file that a user means by a directory or a file."""
+    Raises:
+        BrokenRecording: there is none, or the recording has not been finished.
+    """
     try:
         path.stat()
     except FileNotFoundError:
         raise BrokenRecording("bag", str(path), "does not exist") from None
-    except OSError as error:
-        raise BrokenRecording("bag", str(path), error.strerror or "cannot be read") from None
+    except (OSError, ValueError) as error:
+        raise BrokenRecording("bag", str(path), getattr(error, "strerror", "") or "cannot be read") from None
+    if not path.is_dir():
+        if path.name.endswith(UNFINISHED_SUFFIX):
+            raise BrokenRecording("bag", str(path), "was cut short: its writer did not finish it")
+        return [path]
     if (path / METADATA_FILE).is_file():
-        path = path / read_file_name(path / METADATA_FILE)
-    if not path.exists():
-        raise BrokenRecording("bag", str(path), "does not exist")
-    if path.is_dir():
-        unfinished = sorted(path.glob(f"*{UNFINISHED_SUFFIX}"))
-        files = sorted(path.glob("*.mcap"))
-        if len(files) == 1:
-            return files[0]
-        if unfinished:
-            return _mcap_file(unfinished[0])
-        raise BrokenRecording("bag", str(path), "is no recording: it holds no metadata.yaml and no one .mcap")
-    if path.name.endswith(UNFINISHED_SUFFIX):
-        raise BrokenRecording("bag", str(path), "was cut short: its writer did not finish it")
-    return path
+        files = [path / name for name in read_file_names(path / METADATA_FILE)]
+        for file in files:
+            if not file.is_file():
+                raise BrokenRecording("bag", str(file), "does not exist")
+        return files
+    unfinished = sorted(path.glob(f"*{UNFINISHED_SUFFIX}"))
+    if unfinished:
+        return mcap_files(unfinished[0])
+    files = sorted(path.glob("*.mcap"), key=file_number)
+    # Files of one recording are numbered; others do not belong together.
+    if len(files) == 1 or (files and len({file.name.rpartition("_")[0] for file in files}) == 1):
+        return files
+    raise BrokenRecording("bag", str(path), "is no recording: it holds no metadata.yaml and no one .mcap")
 
 
-def _check_ends(path: Path, stream: IO[bytes]) -> int:
-    """File size [bytes], once both ends look like those of an MCAP file."""
-    size = stream.seek(0, 2)
-    stream.seek(0)
-    if size == 0:
-        raise BrokenRecording("bag", str(path), "is empty")
-    start = stream.read(len(MCAP0_MAGIC))
-    if start != MCAP0_MAGIC[: len(start)]:
-        raise BrokenRecording("bag", str(path), "is not an MCAP file")
-    if size < 2 * len(MCAP0_MAGIC) + _FOOTER_BYTES:
-        raise BrokenRecording("bag", str(path), _CUT_SHORT)
-    stream.seek(-len(MCAP0_MAGIC), 2)
-    if stream.read() != MCAP0_MAGIC:
-        raise BrokenRecording("bag", str(path), _CUT_SHORT)
-    return size
+def file_number(path: Path) -> tuple[int, str]:
+    """Sorts the files of a recording: ``bag_10.mcap`` after ``bag_9.mcap``."""
+    number = re.search(r"_(\d+)\.mcap", path.name)
+    return (int(number[1]) if number else -1), path.name
 
 
-def _check_summary_crc(stream: IO[bytes], size: int) -> None:
-    """Compares the summary's checksum, which the mcap library does not do for seekable files."""
-    footer_start = size - len(MCAP0_MAGIC) - _FOOTER_BYTES
-    stream.seek(footer_start + 9)
-    footer = Footer.read(ReadDataStream(stream))
-    if not footer.summary_crc or not footer.summary_start:
-        return
-    if footer.summary_start > footer_start:
-        raise ValueError("its summary stands behind its end")
-    stream.seek(footer.summary_start)
-    # The checksum covers the footer too, except for itself.
-    covered = stream.read(footer_start + _FOOTER_BYTES - 4 - footer.summary_start)
-    if zlib.crc32(covered) != footer.summary_crc:
-        raise ValueError("the checksum of its summary does not match")
+def _repeated(part: McapSource) -> Mapping[str, int]:
+    for index in part.summary.metadata_indexes:
+        if index.name == CONTINUED_RECORD:
+            values = part.metadata(index.offset, CONTINUED_RECORD)
+            return {name: int(value) for name, value in values.items() if value.isdecimal()}
+    return {}
 
 
-def _recorded_topic(channel: Channel, summary: Summary) -> RecordedTopic:
-    schema: Schema = summary.schemas[channel.schema_id]
-    statistics = summary.statistics
-    count = statistics.channel_message_counts.get(channel.id, 0) if statistics else 0
+def _recorded_topic(part: McapSource, channel_id: int) -> RecordedTopic:
+    channel = part.channels[channel_id]
     qos = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
     return RecordedTopic(
-        Topic(channel.topic, schema.name, qos), channel.metadata.get("topic_type_hash", ""), count
+        Topic(channel.topic, part.schema_of(channel).name, qos),
+        channel.metadata.get("topic_type_hash", ""),
+        part.statistics.channel_message_counts.get(channel_id, 0),
     )

@@ -1,81 +1,122 @@
-"""Writes a rosbag2 directory with one MCAP file; a crash loses little, and equal input gives equal bytes."""
+"""Writes a rosbag2 directory of MCAP files; a crash loses little, and equal input gives equal bytes."""
 
-import os
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-from mcap.writer import CompressionType, Writer
-
 from config.errors import RefusedInput
 from msgs_adapters.topics import TWIN_NAMESPACE, Topic
+from recordings.mcap_file import McapFile
+from recordings.receive_times import BATCH_LIMIT, MEDIA_TYPE, RECEIVE_TIMES, ReceiveTimes
 from recordings.rosbag2_metadata import (
+    FileSummary,
     TopicSummary,
     bag_information,
     information_text,
     qos_text,
     write_metadata,
 )
-from recordings.schemas import message_definition
+from recordings.schemas import MessageDefinition, message_definition
 
 UNFINISHED_SUFFIX = ".part"
 PROFILE = "ros2"
 LIBRARY = "pallet-twin"
 ROSBAG2_RECORD = "rosbag2"
+CONTINUED_RECORD = "pallet-twin continued"
+"""At the start of each file after the first: the sequence of each latched message that stands there again."""
+_RECEIVE_PERIOD_NS = 500_000_000
+
+
+@dataclass(frozen=True)
+class _Latched:
+    """The last message of a latched topic, as it opens the next file."""
+
+    payload: bytes
+    publish_time_ns: int
+    sequence: int
 
 
 class BagWriter:
     """An open recording; a context manager that finishes it, after an exception too.
 
-    The file is called ``<name>_0.mcap.part`` until it is whole. Log times rise monotonically; nothing in the
-    file comes from the wall clock unless the caller passes it.
+    A file is called ``<name>_0.mcap.part`` until it is whole. Log times rise monotonically; nothing in the
+    file comes from the wall clock unless the caller passes it. After a write failed, on a full disk, the end
+    of what was written is given back so that scene, index and metadata.yaml still fit: the bag can be closed
+    and read.
 
     Args:
         directory: the bag; made here, with its parents. It may exist when it is empty.
         chunk_bytes: a chunk is closed when it is larger, before compression.
         chunk_period_s: a chunk is also closed, and handed to the operating system, after so much log time
             [s]: a process that is killed loses no more than that.
+        split_bytes: a file is followed by another before its records take more than this; None for one file.
+        split_s: a file is followed by another after so much log time [s]. Files after the first begin with
+            the last message of each latched topic, so that they stand on their own; read as one bag, such
+            a message is there once.
+        in_order: refuse log times that run backwards; False to copy what another recorder wrote.
 
     Raises:
-        RefusedInput: the directory exists and is not empty, or cannot be made.
+        RefusedInput: the directory exists and is not empty, or cannot be made or written.
     """
 
     def __init__(
-        self, directory: Path, *, chunk_bytes: int = 256 * 1024, chunk_period_s: float = 0.25
+        self,
+        directory: Path,
+        *,
+        chunk_bytes: int = 256 * 1024,
+        chunk_period_s: float = 0.25,
+        split_bytes: int | None = None,
+        split_s: float | None = None,
+        in_order: bool = True,
     ) -> None:
+        for name, limit in (("split_bytes", split_bytes), ("split_s", split_s)):
+            if limit is not None and not limit > 0:
+                raise RefusedInput(name, limit, "must be greater than 0")
         self._directory = _empty_directory(directory)
-        self._file_name = f"{self._directory.name}_0.mcap"
-        self._part = self._directory / (self._file_name + UNFINISHED_SUFFIX)
-        self._stream = self._part.open("xb")
-        self._writer = Writer(
-            self._stream, chunk_size=chunk_bytes, compression=CompressionType.ZSTD, enable_data_crcs=True
-        )
-        self._writer.start(PROFILE, LIBRARY)
+        self._chunk_bytes = chunk_bytes
         self._chunk_period_ns = round(chunk_period_s * 1e9)
-        self._chunk_start_ns = 0
-        self._schemas: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
+        self._split_bytes = split_bytes
+        self._split_ns = None if split_s is None else round(split_s * 1e9)
+        self._in_order = in_order
         self._topics: dict[str, TopicSummary] = {}
+        self._definitions: dict[str, MessageDefinition] = {}
         self._counts: dict[str, int] = {}
-        self._start_ns: int | None = None
+        self._latched: dict[str, _Latched] = {}
+        self._files: list[FileSummary] = []
+        self._receive_times = ReceiveTimes()
+        self._batch_start_ns = 0
+        self._chunk_start_ns: int | None = None
+        self._file_start_ns: int | None = None
         self._end_ns = 0
-        self._closed = False
+        self._is_open = self._is_cut = self._closed = False
+        try:
+            self._use(self._new_file())
+        except OSError as error:
+            limit = f"cannot be written: {error.strerror}"
+            raise RefusedInput("bag", str(self._directory), limit) from None
 
     @property
     def path(self) -> Path:
-        """The MCAP file, as it is called once it is finished."""
-        return self._directory / self._file_name
+        """The first MCAP file, as it is called once it is finished."""
+        return self._directory / f"{self._directory.name}_0.mcap"
 
     @property
     def message_counts(self) -> Mapping[str, int]:
         """Messages written so far, by absolute topic name."""
         return self._counts
 
-    def add_topic(self, topic: Topic, *, namespace: str = TWIN_NAMESPACE) -> str:
+    def add_topic(
+        self, topic: Topic, *, namespace: str = TWIN_NAMESPACE, definition: MessageDefinition | None = None
+    ) -> str:
         """Opens a channel and returns the absolute name that `write` takes; adding one twice does nothing.
+
+        Args:
+            topic: name, type and the QoS that its publisher offers.
+            namespace: of a relative name.
+            definition: what another recording says about the type; by default what is installed.
 
         Raises:
             RefusedInput: the message type is not installed, or the name stands for another type already.
@@ -86,23 +127,22 @@ class BagWriter:
                 limit = f"{name} is of type {self._topics[name].type_name} already"
                 raise RefusedInput("type", topic.type_name, limit)
             return name
-        definition = message_definition(topic.type_name)
-        if topic.type_name not in self._schemas:
-            self._schemas[topic.type_name] = self._writer.register_schema(
-                topic.type_name, "ros2msg", definition.text.encode()
-            )
-        self._channels[name] = self._writer.register_channel(
-            name,
-            "cdr",
-            self._schemas[topic.type_name],
-            {"offered_qos_profiles": qos_text(topic.qos), "topic_type_hash": definition.type_hash},
-        )
+        definition = definition or message_definition(topic.type_name)
+        self._definitions.setdefault(topic.type_name, definition)
         self._topics[name] = TopicSummary(name, topic.type_name, definition.type_hash, topic.qos, 0)
         self._counts[name] = 0
+        self._open_channel(name)
         return name
 
     def write(
-        self, topic_name: str, payload: bytes, *, log_time_ns: int, publish_time_ns: int | None = None
+        self,
+        topic_name: str,
+        payload: bytes,
+        *,
+        log_time_ns: int,
+        publish_time_ns: int | None = None,
+        receive_time_ns: int | None = None,
+        sequence: int | None = None,
     ) -> None:
         """Appends one message.
 
@@ -111,33 +151,57 @@ class BagWriter:
             payload: CDR bytes of the message.
             log_time_ns: reception on the bag's clock [ns]; never before the message written last.
             publish_time_ns: the source's time [ns]; the log time where it is not known.
+            receive_time_ns: reception on the wall clock [ns since 1970], where it is worth keeping.
+            sequence: running number in the topic; by default it counts on.
 
         Raises:
             RefusedInput: an unknown topic, or time runs backwards.
+            OSError: the disk is full, or the file is gone; `close` still works then.
         """
-        channel = self._channels.get(topic_name)
-        if channel is None:
+        if topic_name not in self._channels:
             raise RefusedInput("topic", topic_name, "must be added to the bag first")
-        if log_time_ns < self._end_ns:
+        if log_time_ns < self._end_ns and self._in_order:
             raise RefusedInput("log_time_ns", log_time_ns, f"must not be before {self._end_ns}")
-        if self._start_ns is None:
-            self._start_ns = self._chunk_start_ns = log_time_ns
-        if log_time_ns - self._chunk_start_ns >= self._chunk_period_ns:
-            self.flush()
+        if self._chunk_start_ns is None:
             self._chunk_start_ns = log_time_ns
         published_ns = log_time_ns if publish_time_ns is None else publish_time_ns
-        self._writer.add_message(channel, log_time_ns, payload, published_ns, self._counts[topic_name])
+        number = self._counts[topic_name] if sequence is None else sequence
+        try:
+            if self._is_split_due(log_time_ns, len(payload)):
+                self._start_next_file(log_time_ns)
+            elif log_time_ns - self._chunk_start_ns >= self._chunk_period_ns:
+                self.flush()
+            if self._file_start_ns is None:
+                self._file_start_ns = log_time_ns
+            if self._file.is_chunk_empty:
+                self._chunk_start_ns = log_time_ns
+            self._file.add_message(self._channels[topic_name], number, log_time_ns, published_ns, payload)
+        except OSError as error:
+            self._give_back(error)
+            raise
         self._counts[topic_name] += 1
-        self._end_ns = log_time_ns
+        self._end_ns = max(log_time_ns, self._end_ns)
+        if self._splits and self._topics[topic_name].qos.durability == "transient_local":
+            self._latched[topic_name] = _Latched(payload, published_ns, number)
+        if receive_time_ns is not None:
+            self._note_reception(topic_name, number, receive_time_ns)
 
     def flush(self) -> None:
-        """Closes the chunk in progress; what was written until now survives the process."""
-        self._writer.flush()  # type: ignore[no-untyped-call]
+        """Closes the chunk in progress; what was written until now survives the process.
+
+        Raises:
+            OSError: the disk is full, or the file is gone; `close` still works then.
+        """
+        try:
+            self._file.close_chunk()
+        except OSError as error:
+            self._give_back(error)
+            raise
 
     def attach(self, name: str, media_type: str, data: bytes, *, log_time_ns: int | None = None) -> None:
         """Adds a file, such as the scene or the report, at a log time [ns]: by default the last message's."""
         time_ns = self._end_ns if log_time_ns is None else log_time_ns
-        self._writer.add_attachment(time_ns, time_ns, name, media_type, data)
+        self._file.attach(name, media_type, data, log_ns=time_ns, create_ns=time_ns)
 
     def add_metadata(self, name: str, values: Mapping[str, str]) -> None:
         """Adds a record of names and texts; the name ``rosbag2`` is taken.
@@ -147,22 +211,26 @@ class BagWriter:
         """
         if name == ROSBAG2_RECORD:
             raise RefusedInput("metadata", name, "is rosbag2's own record")
-        self._writer.add_metadata(name, dict(values))
+        self._file.add_metadata(name, values)
 
     def close(self) -> None:
-        """Writes index and summary, gives the file its name and writes metadata.yaml; does nothing twice."""
+        """Writes index and summary, gives the file its name and writes metadata.yaml; does nothing twice.
+
+        Raises:
+            OSError: the disk is full: the bag is whole and lacks its last messages. Or not even that could be
+                written, or the file is gone: what there is stays, with its suffix ``.part``.
+        """
         if self._closed:
             return
         self._closed = True
-        topics = [replace(topic, message_count=self._counts[name]) for name, topic in self._topics.items()]
-        information = bag_information(self._file_name, topics, self._start_ns or 0, self._end_ns)
-        with self._stream:
-            self._writer.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": information_text(information)})
-            self._writer.finish()  # type: ignore[no-untyped-call]
-            self._stream.flush()
-            os.fsync(self._stream.fileno())
-        self._part.replace(self.path)
-        write_metadata(self._directory, information)
+        try:
+            error = self._finish_file()
+        finally:
+            self._file.close()
+        write_metadata(self._directory, bag_information(self._files, list(self._topics.values())))
+        # Whoever writes has heard of a full disk already, unless it filled up only now.
+        if error is not None and not self._is_cut:
+            raise error
 
     def __enter__(self) -> Self:
         return self
@@ -176,6 +244,117 @@ class BagWriter:
             # The error under way says more than one about closing; the .part file stays then.
             with suppress(OSError):
                 self.close()
+
+    @property
+    def _splits(self) -> bool:
+        return self._split_bytes is not None or self._split_ns is not None
+
+    def _is_split_due(self, log_time_ns: int, size: int) -> bool:
+        if self._file_start_ns is None:
+            return False
+        is_large = self._split_bytes is not None and self._file.size + size > self._split_bytes
+        return is_large or (
+            self._split_ns is not None and log_time_ns - self._file_start_ns >= self._split_ns
+        )
+
+    def _new_file(self) -> McapFile:
+        name = f"{self._directory.name}_{len(self._files) + self._is_open}.mcap{UNFINISHED_SUFFIX}"
+        return McapFile(self._directory / name, PROFILE, LIBRARY, chunk_bytes=self._chunk_bytes)
+
+    def _use(self, file: McapFile) -> None:
+        self._file, self._is_open = file, True
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+        for topic_name in self._topics:
+            self._open_channel(topic_name)
+
+    def _give_back(self, error: OSError) -> None:
+        self._is_cut = True
+        self._file.make_room(error)
+
+    def _open_channel(self, name: str) -> None:
+        topic = self._topics[name]
+        if topic.type_name not in self._schemas:
+            definition = self._definitions[topic.type_name]
+            self._schemas[topic.type_name] = self._file.add_schema(
+                topic.type_name, definition.encoding, definition.text.encode()
+            )
+        metadata = {"offered_qos_profiles": qos_text(topic.qos), "topic_type_hash": topic.type_hash}
+        self._channels[name] = self._file.add_channel(name, "cdr", self._schemas[topic.type_name], metadata)
+
+    def _start_next_file(self, log_time_ns: int) -> None:
+        # The new one first: where it cannot be made, the present one still takes scene and metadata.
+        file = self._new_file()
+        try:
+            error = self._finish_file()
+            if error is not None:
+                raise error
+        except OSError:
+            file.close()
+            file.path.unlink(missing_ok=True)
+            raise
+        self._file.close()
+        self._use(file)
+        self._file_start_ns = self._chunk_start_ns = log_time_ns
+        repeated = {name: str(latched.sequence) for name, latched in self._latched.items()}
+        self._file.add_metadata(CONTINUED_RECORD, repeated)
+        for name, latched in self._latched.items():
+            self._file.add_message(
+                self._channels[name], latched.sequence, log_time_ns, latched.publish_time_ns, latched.payload
+            )
+
+    def _finish_file(self) -> OSError | None:
+        """Gives the file its end and its name.
+
+        Returns:
+            Why the last of it had to be given back, where the disk was full.
+        """
+        if not self._is_open:
+            return None
+        given_back = None
+        for is_last in (False, False, True):
+            try:
+                self._attach_receive_times()
+                self._file.close_chunk()
+                counts = [self._file.counts.get(channel, 0) for channel in self._channels.values()]
+                topics = [
+                    replace(topic, message_count=count)
+                    for topic, count in zip(self._topics.values(), counts, strict=True)
+                ]
+                path = self._file.path.with_suffix("")
+                summary = FileSummary(path.name, *self._file.span_ns, sum(counts))
+                text = information_text(bag_information([summary], topics))
+                self._file.add_metadata(ROSBAG2_RECORD, {"serialized_metadata": text})
+                self._file.finish()
+                break
+            except OSError as error:
+                # A disk that others fill on and on must not cost the whole recording.
+                if is_last or not self._file.make_room(error):
+                    raise
+                given_back = error
+        self._file.path.replace(path)
+        self._is_open = False
+        self._files.append(summary)
+        for topic in topics:
+            count = self._topics[topic.name].message_count + topic.message_count
+            self._topics[topic.name] = replace(topic, message_count=count)
+        return given_back
+
+    def _note_reception(self, topic_name: str, sequence: int, receive_time_ns: int) -> None:
+        if not len(self._receive_times):
+            self._batch_start_ns = receive_time_ns
+        self._receive_times.add(topic_name, sequence, receive_time_ns)
+        age_ns = abs(receive_time_ns - self._batch_start_ns)
+        if age_ns >= _RECEIVE_PERIOD_NS or len(self._receive_times) >= BATCH_LIMIT:
+            try:
+                self._attach_receive_times()
+            except OSError as error:
+                self._give_back(error)
+                raise
+
+    def _attach_receive_times(self) -> None:
+        if len(self._receive_times):
+            self.attach(RECEIVE_TIMES, MEDIA_TYPE, self._receive_times.take())
 
 
 def _empty_directory(directory: Path) -> Path:

@@ -68,27 +68,31 @@ def parse_qos(text: str) -> QosSpec:
     )
 
 
-def bag_information(
-    file_name: str, topics: Sequence[TopicSummary], start_ns: int, end_ns: int
-) -> dict[str, Any]:
-    """The content of a bag of one file.
+@dataclass(frozen=True)
+class FileSummary:
+    """One MCAP file of a bag: its name, log times of its first and last message [ns], how many it has."""
+
+    name: str
+    start_ns: int
+    end_ns: int
+    message_count: int
+
+
+def bag_information(files: Sequence[FileSummary], topics: Sequence[TopicSummary]) -> dict[str, Any]:
+    """The content of a bag.
 
     Args:
-        file_name: the MCAP file, beside metadata.yaml.
+        files: the MCAP files, beside metadata.yaml, in order.
         topics: every topic, those without messages too.
-        start_ns: log time of the first message [ns]; 0 when there is none.
-        end_ns: log time of the last message [ns].
     """
-    count = sum(topic.message_count for topic in topics)
-    starting_time = {"nanoseconds_since_epoch": start_ns}
-    duration = {"nanoseconds": end_ns - start_ns}
-    span = {"starting_time": starting_time, "duration": duration, "message_count": count}
+    spans = [file for file in files if file.message_count] or list(files[:1])
+    start_ns, end_ns = min(file.start_ns for file in spans), max(file.end_ns for file in spans)
     return {
         "version": METADATA_VERSION,
         "storage_identifier": "mcap",
-        "duration": duration,
-        "starting_time": starting_time,
-        "message_count": count,
+        "duration": {"nanoseconds": end_ns - start_ns},
+        "starting_time": {"nanoseconds_since_epoch": start_ns},
+        "message_count": sum(file.message_count for file in files),
         "topics_with_message_count": [
             {
                 "topic_metadata": {
@@ -104,8 +108,16 @@ def bag_information(
         ],
         "compression_format": "",
         "compression_mode": "",
-        "relative_file_paths": [file_name],
-        "files": [{"path": file_name, **span}],
+        "relative_file_paths": [file.name for file in files],
+        "files": [
+            {
+                "path": file.name,
+                "starting_time": {"nanoseconds_since_epoch": file.start_ns},
+                "duration": {"nanoseconds": file.end_ns - file.start_ns},
+                "message_count": file.message_count,
+            }
+            for file in files
+        ],
         "custom_data": None,
         "ros_distro": "jazzy",
     }
@@ -123,25 +135,29 @@ def write_metadata(directory: Path, information: dict[str, Any]) -> None:
     unfinished.replace(directory / METADATA_FILE)
 
 
-def read_file_name(path: Path) -> str:
-    """The name of the one MCAP file of which a metadata.yaml speaks.
+def read_file_names(path: Path) -> list[str]:
+    """The names of the MCAP files of which a metadata.yaml speaks, in order.
 
     Raises:
-        BrokenRecording: it is not YAML, not of a bag, or of a bag that is not one MCAP file.
+        BrokenRecording: it is not YAML, not of a bag, or of a bag that is not made of MCAP files beside it.
     """
     try:
         information = yaml.safe_load(path.read_text(encoding="utf-8"))[_ROOT]
         storage, files = information["storage_identifier"], information["relative_file_paths"]
-    except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, LookupError, RecursionError):
+    except (OSError, yaml.YAMLError, UnicodeDecodeError, TypeError, LookupError, RecursionError, ValueError):
         raise BrokenRecording("bag", str(path), "is not the metadata of a rosbag2 recording") from None
     if storage != "mcap":
         raise BrokenRecording(f"{path.name}.storage_identifier", storage, "must be 'mcap'")
-    if not isinstance(files, list) or len(files) != 1 or not isinstance(files[0], str):
-        raise BrokenRecording(f"{path.name}.relative_file_paths", files, "must name one file")
-    # A bag comes from outside: its file must stand beside its metadata.
-    if Path(files[0]).name != files[0] or files[0] == "..":
-        raise BrokenRecording(f"{path.name}.relative_file_paths", files[0], "must be a name without a path")
-    return files[0]
+    field = f"{path.name}.relative_file_paths"
+    if not isinstance(files, list) or not files or not all(isinstance(name, str) for name in files):
+        raise BrokenRecording(field, files, "must name at least one file")
+    for name in files:
+        # A bag comes from outside: its files must stand beside its metadata.
+        if Path(name).name != name or name == ".." or "\0" in name:
+            raise BrokenRecording(field, name, "must be a name without a path")
+    if len(set(files)) != len(files):
+        raise BrokenRecording(field, files, "names a file twice")
+    return files
 
 
 def _dump(content: Any) -> str:

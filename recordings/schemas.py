@@ -27,11 +27,13 @@ class MessageDefinition:
         type_name: such as ``sensor_msgs/msg/Imu``.
         text: the ``ros2msg`` definition, followed by those of every type it holds.
         type_hash: ``RIHS01_`` and 64 hexadecimal digits (REP-2016).
+        encoding: what the text is written in.
     """
 
     type_name: str
     text: str
     type_hash: str
+    encoding: str = "ros2msg"
 
 
 @cache

@@ -204,6 +204,10 @@ class _Seen:
         if scene.camera.measure:
             from recordings import live_measurement
 
+            if self.taker.source.described.startswith("TinyRenderer"):
+                limit = "finds no OpenGL here, and TinyRenderer draws no targets: install Mesa's EGL"
+                raise RefusedInput("camera.measure", True, limit)
+
             self._live = live_measurement.LiveMeasurement(scene, self._calibration)
 
     def finish(self) -> None:

@@ -139,7 +139,9 @@ def sled_motion(
 
 def source_lines(source: ImuSource) -> list[str]:
     """What was found and done, in words, a line each."""
-    bias, noise = (", ".join(f"{value:+.3f}" for value in values) for values in (source.bias_mps2, source.noise_mps2))
+    bias, noise = (
+        ", ".join(f"{value:+.3f}" for value in values) for values in (source.bias_mps2, source.noise_mps2)
+    )
     lines = [
         f"{source.readings} readings at {source.rate_hz:.1f} Hz, jitter {source.jitter_ms:.3f} ms,"
         f" {source.missing} missing, longest gap {source.longest_gap_ms:.1f} ms"
@@ -163,7 +165,9 @@ def source_lines(source: ImuSource) -> list[str]:
             f"the sled coasts on at {source.end_speed_mps:.3f} m/s: no standstill at the end to remove drift by"
         )
     if source.off_axis_share > 0.05:
-        lines.append(f"{100.0 * source.off_axis_share:.0f} % as much acceleration across the travel was left out")
+        lines.append(
+            f"{100.0 * source.off_axis_share:.0f} % as much acceleration across the travel was left out"
+        )
     if source.clock_offset_ms is not None and source.clock_drift_ppm is not None:
         used = "the sensor's stamps stand" if source.uses_sensor_clock else "moved to the recording's clock"
         lines.append(
@@ -203,7 +207,9 @@ def _moving(times: Array, forces: Array, noise: Array, period: float) -> tuple[i
     weighs = float(np.linalg.norm(before))
     if weighs > 0.5 and not 9.0 < weighs < 10.6:
         raise RefusedInput(
-            "sled.bag", f"{weighs:.3f} at rest", "an accelerometer at rest must read 9.81 m/s² (or 0): other units?"
+            "sled.bag",
+            f"{weighs:.3f} at rest",
+            "an accelerometer at rest must read 9.81 m/s² (or 0): other units?",
         )
     if np.linalg.norm(after - before) > LEAST_MOTION_MPS2 + limit:
         limit_text = "the recording must begin and end with the sled at rest, or coasting"
@@ -226,7 +232,9 @@ def _rest(times: Array, forces: Array, first: int, last: int) -> _Rest:
     parts = [part for part in parts if part.stop - part.start >= 30] or parts[:1]
     counts = np.array([part.stop - part.start for part in parts])
     means = np.array([forces[part].mean(axis=0) for part in parts])
-    sigma = np.array([forces[part].std(axis=0) / np.sqrt(count) for part, count in zip(parts, counts, strict=True)])
+    sigma = np.array(
+        [forces[part].std(axis=0) / np.sqrt(count) for part, count in zip(parts, counts, strict=True)]
+    )
     middles = np.array([times[part].mean() for part in parts])
     if len(parts) == 2 and not (np.abs(means[1] - means[0]) > 4.0 * np.hypot(*sigma)).any():
         pooled = (means * counts[:, None]).sum(axis=0) / counts.sum()
@@ -276,7 +284,9 @@ def _bridged(times: Array, along: Array, period: float) -> tuple[Array, Array]:
         meets = (end - start - slope_out * length) / turn if turn else -1.0
         s = np.arange(1, max(2, round(length / period))) / max(2, round(length / period))
         if 0.0 < meets < length:
-            filled = np.where(s * length < meets, start + slope_in * s * length, end - slope_out * (1.0 - s) * length)
+            filled = np.where(
+                s * length < meets, start + slope_in * s * length, end - slope_out * (1.0 - s) * length
+            )
         else:
             filled = (
                 start * (1.0 + 2.0 * s) * (1.0 - s) ** 2 + length * slope_in * s * (1.0 - s) ** 2
@@ -358,7 +368,7 @@ def _uncertainty(
 
 
 def _rotation(at_rest: Array, axis: Array, travel: Array) -> Array:
-    """Matrix that turns readings into frame ``sled``, shape [3, 3]: the travel's axis is kept, gravity gives the roll."""
+    """Matrix that turns readings into frame ``sled``: the travel's axis is kept, gravity gives the roll."""
     up = at_rest - (at_rest @ axis) * axis
     if np.linalg.norm(up) < 0.5 * GRAVITY:
         # Gravity was taken off: the sensor's own z is the best guess.

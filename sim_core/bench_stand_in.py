@@ -74,7 +74,8 @@ def faulty_readings(scene: Scene, faults: SensorFaults, seed: int) -> FaultyRead
         kept &= np.abs(times - times[0] - middle_s) >= 0.5 * length_s
     kept[[0, -1]] = True
     times = times[kept]
-    true = np.array([profile.state(time_s)[0] for time_s in times]) + [0.0, 0.0, GRAVITY]
+    true = np.array([profile.state(time_s)[0] for time_s in times])
+    true[:, 2] += GRAVITY
     forces = true @ mounting(faults) + faults.bias_mps2
     forces += faults.noise_mps2 * chance.standard_normal(forces.shape)
     stamps = faults.clock_offset_s + (1.0 + 1.0e-6 * faults.clock_drift_ppm) * times

@@ -14,9 +14,14 @@ from numpy.typing import NDArray
 
 from sim_core.frames import Array
 
+Flags = NDArray[np.bool_]
+
 _HYPOTHESES = 32
-_ITERATIONS, _LOOSE_ITERATIONS = 9, 3
-LOOSE_NEARER_M, LOOSE_TURNED_RAD = 0.03, 0.1
+_ITERATIONS, _FIRST_ITERATIONS = 8, 3
+FREE = (0.03, 0.1, 0.1)
+"""How far δ [m], ψ and χ [rad] are let go at first, to see whether they explain what the points do."""
+CLEARLY_BETTER = 20.0
+"""How many variances of a point the sum of squares has to fall by, for that to be believed."""
 NEARER_M, TURNED_RAD = 3.0e-4, 1.0e-3
 """How far packages that hardly move come nearer, or turn out of the picture's plane: standard deviations, as simulated
 loads on a EUR pallet do at 0.3 g to 0.8 g."""
@@ -107,45 +112,77 @@ def fit_motions(
         moved_m: about how far each face moved: how far it may have come nearer grows with it, shape [n].
     """
     count = len(before)
-    looked = np.isfinite(before).all(axis=2)
-    found = np.asarray(looked & np.isfinite(after).all(axis=2))
+    looked: Flags = np.array(np.isfinite(before).all(axis=2), dtype=np.bool_)
+    found: Flags = np.logical_and(looked, np.isfinite(after[..., 0]) & np.isfinite(after[..., 1]))
     arm = np.nan_to_num(before - centres[:, None])
     shift = np.nan_to_num(after - centres[:, None])
     p, q = arm[..., 0] + 1j * arm[..., 1], shift[..., 0] + 1j * shift[..., 1]
-    place, turn, agree = _consensus(p, q, found, tolerance_m)
+    place, turn = _consensus(p, q, found, tolerance_m)
     usual = np.column_stack((NEARER_M + NEARER_SHARE * moved_m, *2 * [TURNED_RAD + TURNED_SHARE * moved_m]))
-    prior = np.zeros((count, 6))
-    prior[:, 3:] = 1.0 / np.array([LOOSE_NEARER_M, LOOSE_TURNED_RAD, LOOSE_TURNED_RAD]) ** 2
-    state = np.zeros((count, 6))
-    state[:, 0], state[:, 1], state[:, 2] = place.real, place.imag, turn
-    weight = agree.astype(float)
-    spread = np.full(count, tolerance_m)
+    start = np.zeros((count, 6))
+    start[:, 0], start[:, 1], start[:, 2] = place.real, place.imag, turn
+    seen = _Seen(p, shift, looked, found, centres, foot, distance, point_sigma_m, tolerance_m)
+    held, held_off = _descended(seen, start, usual, usual)
+    free, free_off = _descended(seen, start, usual, np.broadcast_to(FREE, usual.shape))
+    # To come nearer explains any noise a little better: it has to explain much.
+    gain = (np.minimum(held_off, tolerance_m) ** 2 - np.minimum(free_off, tolerance_m) ** 2).sum(axis=1)
+    return held.replaced(free, gain > CLEARLY_BETTER * free.spread_m**2)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The points of all faces, about their centres: before as complex numbers, and after; and what they are seen by."""
+
+    p: NDArray[np.complex128]
+    shift: Array
+    looked: Flags
+    found: Flags
+    centres: Array
+    foot: Array
+    distance: Array
+    sigma_m: Array
+    tolerance_m: float
+
+
+def _descended(seen: _Seen, state: Array, usual: Array, first: Array) -> tuple[Motions, Array]:
+    """Weighted Gauss-Newton from a state, shape [n, 6]; and how far off the points found are [m], shape [n, k].
+
+    Args:
+        seen: the points.
+        state: to begin with.
+        usual: how far δ, ψ and χ usually go, shape [n, 3].
+        first: how far they may go in the first steps, while points that are wrong drop out, shape [n, 3].
+    """
+    prior = np.zeros_like(state)
+    prior[:, 3:] = 2.0 / first**2
+    spread = np.full(len(state), seen.tolerance_m)
     for number in range(_ITERATIONS):
-        model, columns = _model(state, p, centres, foot, distance)
-        residual = np.nan_to_num(shift - model)
-        off = np.linalg.norm(residual, axis=2)
+        model, columns = _model(state, seen.p, seen.centres, seen.foot, seen.distance)
+        residual = seen.shift - model
+        off = np.sqrt(residual[..., 0] ** 2 + residual[..., 1] ** 2)
         # Of two components 1.1774 σ is the median of the length.
-        spread = np.maximum(_median(off, found & (off < 3.0 * spread[:, None])) / 1.1774, point_sigma_m)
-        reach = np.minimum(4.0 * spread, tolerance_m)[:, None]
-        weight = found * np.clip(1.0 - (off / reach) ** 2, 0.0, None) ** 2
-        scaled = weight / (spread**2)[:, None]
-        normal = np.einsum("nkca,nk,nkcb->nab", columns, scaled, columns)
+        spread = np.maximum(_median(off, seen.found & (off < 3.0 * spread[:, None])) / 1.1774, seen.sigma_m)
+        reach = np.minimum(4.0 * spread, seen.tolerance_m)[:, None]
+        weight = seen.found * np.clip(1.0 - (off / reach) ** 2, 0.0, None) ** 2
+        scaled = (weight / (spread**2)[:, None])[..., None, None] * columns
+        normal = np.einsum("nkca,nkcb->nab", columns, scaled, optimize=True)
         normal[:, range(6), range(6)] += prior + 1.0e-6
-        right = np.einsum("nkca,nk,nkc->na", columns, scaled, residual) - prior * state
+        right = np.einsum("nkca,nkc->na", scaled, residual) - prior * state
         state = state + np.linalg.solve(normal, right[..., None])[..., 0]
-        if number >= _LOOSE_ITERATIONS - 1:
+        if number >= _FIRST_ITERATIONS - 1:
             # Cauchy's distribution, by weights: small ones are held near zero, a large one that shows is let be.
             prior[:, 3:] = 2.0 / (usual**2 + state[:, 3:] ** 2)
     used = (weight > 0.1).sum(axis=1)
-    return Motions(
+    motions = Motions(
         centre=state[:, :2],
         turn=state[:, 2],
         outward=state[:, 3:],
         covariance=np.linalg.inv(normal),
         spread_m=spread,
         used=used,
-        share=used / np.maximum(looked.sum(axis=1), 1),
+        share=used / np.maximum(seen.looked.sum(axis=1), 1),
     )
+    return motions, np.where(seen.found, off, 0.0)
 
 
 def _model(
@@ -166,8 +203,8 @@ def _model(
 
 def _consensus(
     p: NDArray[np.complex128], q: NDArray[np.complex128], found: NDArray[np.bool_], tolerance_m: float
-) -> tuple[NDArray[np.complex128], Array, NDArray[np.bool_]]:
-    """The rigid motion that most points of each face agree with: place of the centre, turn, and which do."""
+) -> tuple[NDArray[np.complex128], Array]:
+    """The rigid motion that most points of each face agree with: place of the centre, and turn."""
     count, width = p.shape
     draws = np.random.default_rng(0).random((_HYPOTHESES, 2, 1, width))
     # Two different points that were found, for each face and hypothesis.
@@ -186,7 +223,7 @@ def _consensus(
     agree = found[None] & (off < tolerance_m)
     quality = np.where(agree, 1.0 - (off / tolerance_m) ** 2, 0.0).sum(axis=2)
     best = quality.argmax(axis=0)
-    return place[best, rows], np.angle(unit[best, rows]), agree[best, rows]
+    return place[best, rows], np.angle(unit[best, rows])
 
 
 def _median(values: Array, where: NDArray[np.bool_]) -> Array:

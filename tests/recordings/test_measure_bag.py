@@ -21,10 +21,9 @@ PARTS = (
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("measured")
     done = pallet_twin("run", "eur_camera_markers", *PARTS, "--out", "run", cwd=folder)
-    assert done.returncode == 0, done.stderr
-    drawn_by = json.loads((folder / "run" / "report.json").read_text())["camera"]["drawn_by"]
-    if drawn_by.startswith("TinyRenderer"):
+    if "no OpenGL" in done.stderr:
         pytest.skip("no OpenGL here: TinyRenderer draws no targets")
+    assert done.returncode == 0, done.stderr
     return folder
 
 
