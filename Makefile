@@ -9,7 +9,7 @@ help:
 	@echo "make demo   run one EUMOS test of a palletised load: verdict, report, recording"
 	@echo "make test   set up the tools and run every test"
 	@echo "make lint   ruff, mypy and the import contract"
-	@echo "make bench  error against run time, stability, engine agreement, cost of the parts, into runs/ (70 minutes)"
+	@echo "make bench  error against run time, stability, engine agreement, cost of the parts, pictures, into runs/ (100 minutes)"
 	@echo "make clean  remove .venv and caches; runs/ stays"
 
 setup: $(VENV)/.main
@@ -43,6 +43,8 @@ bench: setup-dev
 	$(BIN)/pallet-twin accuracy --out runs/accuracy
 	$(BIN)/pallet-twin stress --engine both --out runs/stress
 	$(BIN)/pallet-twin agreement --out runs/agreement
+	$(BIN)/pallet-twin sight --out runs/sight
+	$(BIN)/pallet-twin sheet --out runs/sheet.jpg
 	$(BIN)/pallet-twin parts eur_columns --set sled.level_g=0.2 --out runs/parts
 
 clean:

@@ -256,6 +256,25 @@ def render(
 
 
 @app.command()
+def sight(
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder for the table; resumed if it exists.")
+    ] = Path("runs/sight"),
+    quick: Annotated[bool, typer.Option("--quick", help="Two loads a look, about two minutes.")] = False,
+) -> None:
+    """Draw and measure many loads, with markers, without and behind film, and hold the measurement against the poses.
+
+    Says how far off it is, how often its uncertainty covers that, and whether its verdict is the judge's.
+    """
+    from sim_core.vision.sweep import run_sight
+
+    with output.counter("measured from pictures", quiet=False) as count:
+        _, told = run_sight(out, quick=quick, on_progress=count)
+    output.show_sight(told)
+    print(f"table   {out / 'sight.csv'}")
+
+
+@app.command()
 def sheet(
     scenes: Annotated[
         list[str] | None,

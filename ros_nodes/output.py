@@ -24,6 +24,7 @@ from sim_core.report_words import tore_film, turns_words
 if TYPE_CHECKING:
     from recordings.measure_bag import MeasuredBag
     from sim_core.stress import StressResult
+    from sim_core.vision.sweep import SightSummary
 
 NOT_MET = 4
 ENDED_BY_MONITOR = 3
@@ -178,6 +179,30 @@ def show_measured(measured: "MeasuredBag", video: Path | None, *, as_json: bool)
         print(f"not seen: {line}")
     if video is not None:
         print(f"video   {video}")
+
+
+def show_sight(summaries: "Sequence[SightSummary]") -> None:
+    """How well displacement is measured from pictures, a look a line."""
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("look", no_wrap=True)
+    for column in (
+        "scenes",
+        "RMS mm",
+        "worst RMS mm",
+        "inside 95 %",
+        "same verdict",
+        "unresolved",
+        "other",
+        "ms a picture",
+    ):
+        table.add_column(column, justify="right")
+    for entry in summaries:
+        table.add_row(
+            entry.look, str(entry.scenes), f"{entry.rms_mm:.2f}", f"{entry.worst_rms_mm:.2f}",
+            f"{100.0 * entry.coverage:.1f} %", str(entry.same), str(entry.open), str(entry.other),
+            f"{entry.take_ms:.0f}",
+        )  # fmt: skip
+    Console(highlight=False).print(table)
 
 
 def show_drawn(drawn: Rendered, *, as_json: bool) -> None:

@@ -1,0 +1,235 @@
+"""The measurement over many simulated loads: how far off it is, whether it says so, and whether its verdict is right."""
+
+import csv
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from config.camera import Camera, Markers
+from config.scene import ForceFields, Scene
+from config.scene_file import find_scene, overridden, read_scene
+from sim_core.report import versions
+from sim_core.vision.trial import picture_trial
+from sim_core.work_precision import with_setting
+
+FORMAT = 1
+"""Version of the rows on disk; raise it when a row's fields or their meaning change."""
+LEVELS_G = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+SEED = 20_260
+SCENES_A_LOOK = 30
+FILM_SCENES = 12
+BARE_LOADS = ("eur_columns", "eur_interlocked", "mixed_sizes", "stackbuilder", "pally")
+FILM_LOADS = ("eur_wrap_lldpe", "mixed_wrap", "eur_wrap_one_way")
+
+Look = Literal["markers", "bare", "film"]
+Progress = Callable[[int, int, object], None]
+
+
+@dataclass(frozen=True)
+class SightRow:
+    """One load, drawn and measured.
+
+    Attributes:
+        key: digest of all that the row depends on; a row on disk with this key is not run again.
+        name: load, level and frictions.
+        look: with markers, without, or behind film.
+        rms_mm: root mean square error of a component [mm].
+        largest_mm: largest error of a component [mm].
+        coverage: share of errors inside the 95 % that is stated.
+        errors: number of components compared.
+        tracked: share of the displacements that were measured.
+        verdict: by the pictures.
+        judged: by the poses, rules (i) to (iii).
+        agrees: whether a verdict other than ``unresolved`` is the judge's.
+        missed: rules, separated by spaces, whose state is neither the judge's nor ``unresolved``.
+        take_ms: median time that a picture takes to measure [ms].
+        slowest_ms: 95th percentile of it [ms].
+    """
+
+    key: str
+    name: str
+    look: Look
+    rms_mm: float
+    largest_mm: float
+    coverage: float
+    errors: int
+    tracked: float
+    verdict: str
+    judged: str
+    agrees: bool
+    missed: str
+    take_ms: float
+    slowest_ms: float
+
+
+@dataclass(frozen=True)
+class SightSummary:
+    """All rows of one look together.
+
+    Attributes:
+        look: which.
+        scenes: how many.
+        rms_mm: root mean square error over all components of all scenes [mm].
+        worst_rms_mm: of the worst scene [mm].
+        coverage: share of all errors inside the 95 % that is stated.
+        same: verdicts that are the judge's.
+        open: verdicts that are ``unresolved``.
+        other: verdicts that are neither.
+        take_ms: median over the scenes of the median time a picture [ms].
+    """
+
+    look: Look
+    scenes: int
+    rms_mm: float
+    worst_rms_mm: float
+    coverage: float
+    same: int
+    open: int
+    other: int
+    take_ms: float
+
+
+def run_sight(
+    out: Path, *, quick: bool = False, on_progress: Progress | None = None
+) -> tuple[list[SightRow], list[SightSummary]]:
+    """Measures every load of the sweep and writes ``sight.csv`` and ``sight.json``.
+
+    Rows that the folder already holds are not run again.
+
+    Args:
+        out: folder, made where it is missing.
+        quick: two loads a look.
+        on_progress: called with rows done, how many there are, and the last one.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / "sight.json"
+    kept = _rows_on_disk(path)
+    wanted = list(_cases(quick=quick))
+    rows: list[SightRow] = []
+    for number, (name, look, scene) in enumerate(wanted, start=1):
+        key = _key(look, scene)
+        row = kept.get(key) or _row(key, name, look, scene)
+        rows.append(row)
+        kept[key] = row
+        _write(path, [asdict(entry) for entry in kept.values()])
+        if on_progress is not None:
+            on_progress(number, len(wanted), row)
+    _write_table(rows, out / "sight.csv")
+    return rows, summaries(rows)
+
+
+def summaries(rows: Sequence[SightRow]) -> list[SightSummary]:
+    """The rows of each look together."""
+    found = []
+    looks: tuple[Look, ...] = ("markers", "bare", "film")
+    for look in looks:
+        chosen = [row for row in rows if row.look == look]
+        if not chosen:
+            continue
+        counts = np.array([row.errors for row in chosen], dtype=float)
+        squares = np.array([row.rms_mm**2 for row in chosen])
+        found.append(
+            SightSummary(
+                look=look,
+                scenes=len(chosen),
+                rms_mm=float(np.sqrt((counts * squares).sum() / counts.sum())),
+                worst_rms_mm=max(row.rms_mm for row in chosen),
+                coverage=float((counts * [row.coverage for row in chosen]).sum() / counts.sum()),
+                same=sum(row.agrees for row in chosen),
+                open=sum(row.verdict == "unresolved" for row in chosen),
+                other=sum(row.verdict not in ("unresolved", row.judged) for row in chosen),
+                take_ms=float(np.median([row.take_ms for row in chosen])),
+            )
+        )
+    return found
+
+
+def _cases(*, quick: bool) -> Iterator[tuple[str, Look, Scene]]:
+    """Loads, levels, frictions and fields from a seed: the same loads with markers and without."""
+    chance = np.random.default_rng(SEED)
+    for number in range(2 if quick else SCENES_A_LOOK):
+        load, level = BARE_LOADS[number % len(BARE_LOADS)], LEVELS_G[number % len(LEVELS_G)]
+        friction, tension = round(chance.uniform(0.35, 0.6), 2), round(10.0 ** chance.uniform(-0.5, 0.3), 2)
+        # A third of them stands by friction alone, as far as it does.
+        fields = None if number % 3 == 0 else ForceFields(tension=tension)
+        for look in ("markers", "bare"):
+            camera = Camera(markers=Markers() if look == "markers" else None, seed=number)
+            scene = _scene(load, level, friction).model_copy(
+                update={"force_fields": fields, "camera": camera}
+            )
+            told = "" if fields is None else f", T {tension:g}"
+            yield f"{load}, {level:g} g, friction {friction:g}{told}", look, scene  # type: ignore[misc]
+    for number in range(2 if quick else FILM_SCENES):
+        load, level = FILM_LOADS[number % len(FILM_LOADS)], LEVELS_G[number % 4]
+        scene = _scene(load, level, None).model_copy(update={"camera": Camera(seed=number)})
+        yield f"{load}, {level:g} g", "film", scene
+
+
+def _scene(name: str, level_g: float, friction: float | None) -> Scene:
+    scene = overridden(read_scene(find_scene(name)), [f"sled.level_g={level_g}", 'solver={"engine":"auto"}'])
+    if friction is not None:
+        pairs = [["cardboard", "cardboard"], ["cardboard", "wood"]]
+        named = json.dumps({"pairs": [{"between": pair, "friction": friction} for pair in pairs]})
+        scene = overridden(scene, [f"surfaces={named}"])
+    return with_setting(scene)[0]
+
+
+def _key(look: Look, scene: Scene) -> str:
+    told = json.dumps([FORMAT, look, scene.to_json(), versions()])
+    return hashlib.sha256(told.encode()).hexdigest()
+
+
+def _row(key: str, name: str, look: Look, scene: Scene) -> SightRow:
+    trial = picture_trial(scene)
+    measured = {rule.rule: rule.state for rule in trial.measured.rules}
+    missed = [
+        rule.rule for rule in trial.judged if measured.get(rule.rule) not in (rule.state, "unresolved", None)
+    ]
+    checked = trial.checked
+    return SightRow(
+        key=key,
+        name=name,
+        look=look,
+        rms_mm=trial.rms_mm,
+        largest_mm=trial.largest_mm,
+        coverage=trial.coverage,
+        errors=int(checked.sum()),
+        tracked=trial.tracked_share,
+        verdict=trial.measured.verdict,
+        judged=trial.verdict,
+        agrees=trial.agrees,
+        missed=" ".join(missed),
+        take_ms=1000.0 * float(np.median(trial.wall_s)),
+        slowest_ms=1000.0 * float(np.percentile(trial.wall_s, 95)),
+    )
+
+
+def _rows_on_disk(path: Path) -> dict[str, SightRow]:
+    try:
+        stored: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
+        return {entry["key"]: SightRow(**entry) for entry in stored}
+    except (OSError, ValueError, TypeError, KeyError):
+        # None, or of another version: measured anew.
+        return {}
+
+
+def _write(path: Path, entries: list[dict[str, Any]]) -> None:
+    scratch = path.with_name(path.name + ".part")
+    scratch.write_text(json.dumps(entries, indent=1), encoding="utf-8")
+    scratch.replace(path)
+
+
+def _write_table(rows: Sequence[SightRow], path: Path) -> None:
+    scratch = path.with_name(path.name + ".part")
+    with scratch.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, [field.name for field in fields(SightRow) if field.name != "key"])
+        writer.writeheader()
+        writer.writerows(
+            {name: value for name, value in asdict(row).items() if name != "key"} for row in rows
+        )
+    scratch.replace(path)
