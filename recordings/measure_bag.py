@@ -13,17 +13,14 @@ from recordings.bag_pictures import calibration_of_bag, pictures_of_bag
 from recordings.bag_reader import BagReader
 from recordings.judge_bag import scene_of_bag, topics_in_bag
 from recordings.live_measurement import LiveMeasurement, measured_entry
-from sim_core.camera.layout import Side, near_face
 from sim_core.camera.source import Picture
-from sim_core.frames import Array, PoseFrame
-from sim_core.geometry import rotation_matrices
+from sim_core.frames import PoseFrame
 from sim_core.judge import EumosJudge
 from sim_core.report import Report, judgement
 from sim_core.vision.annotate import annotated
 from sim_core.vision.measure import DisplacementMeasurer
-
-COVERAGE = 2.0
-"""Expanded over standard uncertainty: 95 % of a normal distribution."""
+from sim_core.vision.trial import true_displacements
+from sim_core.vision.verdict import COVERAGE
 
 
 @dataclass(frozen=True)
@@ -111,24 +108,20 @@ def _compared(reader: BagReader, scene: Scene, measurer: DisplacementMeasurer) -
     if not names:
         return None
     judge = EumosJudge(scene)
-    wanted = {measured.stamp_ns for measured in measurer.measurements}
-    first: Array | None = None
-    moved: dict[int, Array] = {}
+    stamps = [measured.stamp_ns for measured in measurer.measurements]
+    wanted, frames = set(stamps), dict[int, PoseFrame]()
     for message in reader.messages(names):
         frame = pose_frame_from_payload(message.payload, judge.frame_count)
         judge.add(frame)
-        if frame.stamp_ns in wanted or first is None:
-            places = true_places(scene, measurer.side, [face.row for face in measurer.faces], frame)
-            first = places if first is None else first
-            moved[frame.stamp_ns] = places - first
-    displacement, sigma = measurer.displacements()
-    errors, bounds = [], []
-    for measured, way, deviation in zip(measurer.measurements, displacement, sigma, strict=True):
-        if measured.stamp_ns in moved:
-            errors.append(way - moved[measured.stamp_ns])
-            bounds.append(COVERAGE * deviation)
-    error, bound = np.array(errors).ravel(), np.array(bounds).ravel()
+        if frame.stamp_ns in wanted:
+            frames[frame.stamp_ns] = frame
+    if stamps[0] not in frames:
+        return None
+    posed = [index for index, stamp in enumerate(stamps) if stamp in frames]
+    displacement, sigma = (values[posed] for values in measurer.displacements())
+    error = displacement - true_displacements(scene, [frames[stamps[index]] for index in posed])
     seen = np.isfinite(error)
+    seen[0] = False
     if not seen.any():
         return None
     judged = judgement(scene, judge)
@@ -136,23 +129,7 @@ def _compared(reader: BagReader, scene: Scene, measurer: DisplacementMeasurer) -
         points=int(seen.sum()) // 2,
         rms_error_mm=float(1000.0 * np.sqrt(np.mean(error[seen] ** 2))),
         largest_error_mm=float(1000.0 * np.abs(error[seen]).max()),
-        coverage=float(np.mean(np.abs(error[seen]) <= bound[seen])),
+        coverage=float(np.mean(np.abs(error[seen]) <= COVERAGE * sigma[seen])),
         verdict=judged["verdict"],
         rules=judged["rules"],
     )
-
-
-def true_places(scene: Scene, side: Side, rows: list[int], frame: PoseFrame) -> Array:
-    """Where middle and corners of packages' sides towards the camera are, along right and up [m], shape [n, 5, 2].
-
-    Args:
-        scene: the resolved scene.
-        side: that the camera sees.
-        rows: of the packages in the pose frame.
-        frame: their poses.
-    """
-    faces = np.array([near_face(scene, row) for row in rows], dtype=float)
-    spots = np.concatenate((faces.mean(axis=1, keepdims=True), faces), axis=1)
-    turns = rotation_matrices(frame.orientations[rows])
-    places = frame.positions[rows][:, None] + np.einsum("nij,npj->npi", turns, spots)
-    return np.stack((places @ side.right, places[:, :, 2]), axis=-1)

@@ -276,7 +276,7 @@ class FaceTracker:
             mask[inset : h - inset, inset : w - inset] = 255
             apart = max(5.0, _APART * min(w, h))
             strong = cv2.goodFeaturesToTrack(
-                np.ascontiguousarray(tile), 2 * MOST_POINTS, 0.02, apart, mask=mask, blockSize=7
+                np.ascontiguousarray(tile), 2 * MOST_POINTS, 0.005, apart, mask=mask, blockSize=7
             )
             if strong is None:
                 continue

@@ -22,19 +22,22 @@ TRACKED: State = "tracked"
 
 FACE_POINT_PX, TAG_POINT_PX = 0.06, 0.1
 """Least standard deviation of a point of a carton's print, and of a tag's corner."""
-TOLERANCE_PX = 1.5
+TOLERANCE_PX = 2.5
 LEAST_POINTS, LEAST_SHARE = 4, 0.2
 STRONG_SHARE, WEAK_REACH, MOST_SPREAD_PX = 0.45, 0.15, 0.4
 """Where less than this share of the points agrees, packages leap less far, and the points must agree better."""
+WEAK_M = 1.5e-3
+"""Standard deviation of what few points say beyond what they differ by, measured behind film."""
 BLUR_PX = 3.0
 JUMP_M, JUMP_MORE_M, MOST_JUMP_M = 0.08, 0.05, 0.35
 """How far a package may be from where its speed foretells it; how much more for each picture without it; the most."""
-PICTURES_A_TAG_CHECK = 5
+PICTURES_A_TAG_CHECK = 10
 DISAGREEMENT_M = 0.05
 """Print that is so far from where the tags say is another package's."""
 _SEARCHES_A_PICTURE = 3
 _LEAST_MATCH = 0.6
-_GIVEN_UP_AFTER = 10
+SELDOM_AFTER, PICTURES_A_RETRY = 10, 5
+"""After so many pictures without it a package is looked for in every so many only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +116,9 @@ class PackageFollower:
         for number in np.flatnonzero(~good).tolist():
             states[number] = self._why_not(number, outlines, good, sight, travel_m)
         self._keep(good, np.column_stack((motions.centre, motions.turn)), step_s)
+        variance += np.where(by_tags | (motions.share >= STRONG_SHARE), 0.0, WEAK_M)[:, None, None] ** 2
+        # What moves is seen where it was half the exposure before the stamp.
+        variance = variance + (0.5 * self._shutter_s * self._rate[:, None, :2]) ** 2
         return Followed(displacement, variance, np.where(good, motions.turn, np.nan), tuple(states), by_tags)
 
     def _by_print(self, grey: Grey, sight: Sight, travel: float, foretold: Array) -> tuple[Motions, Flags]:
@@ -120,7 +126,8 @@ class PackageFollower:
         before = self._tracker.before(sight)
         after = np.full((len(self._faces), MOST_POINTS, 2), np.nan)
         nobody = np.zeros(len(self._faces), dtype=bool)
-        looked = np.flatnonzero(self._missed < _GIVEN_UP_AFTER).tolist()
+        is_turn = (self._count + np.arange(len(self._faces))) % PICTURES_A_RETRY == 0
+        looked = np.flatnonzero((self._missed < SELDOM_AFTER) | is_turn).tolist()
         if looked:
             after[looked] = self._tracker.find(grey, sight, travel, foretold, looked)
         motions = self._fitted(before, after, foretold, nobody, travel, sight)
@@ -198,7 +205,7 @@ class PackageFollower:
         is_strong = motions.share >= STRONG_SHARE
         is_sharp = motions.spread_m < MOST_SPREAD_PX * self.pixel_m
         good &= is_tagged | (leap < self._reach_m * np.where(is_strong, 1.0, WEAK_REACH))
-        good &= is_strong | (is_sharp & (motions.used > LEAST_POINTS + 1))
+        good &= is_strong | (is_sharp & (motions.used > LEAST_POINTS))
         places = np.where(good[:, None], self._centres + motions.centre, np.nan)
         apart = np.linalg.norm(places[:, None] - places[None], axis=2)
         room = 0.5 * np.minimum(self._narrow[:, None], self._narrow[None])

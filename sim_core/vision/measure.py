@@ -21,7 +21,7 @@ Grey = NDArray[np.uint8]
 MOST_STILL_PICTURES = 16
 STILL_M = 2.0e-4
 """The sled counts as standing while the targets are within this of their first places."""
-PRINT_FLOOR_M, TAG_FLOOR_M = 3.0e-4, 5.0e-4
+PRINT_FLOOR_M, TAG_FLOOR_M = 2.0e-4, 5.0e-4
 """Standard deviations of what neither residuals nor the pose's covariance know of, measured on rendered scenes."""
 
 

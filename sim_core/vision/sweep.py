@@ -1,4 +1,4 @@
-"""The measurement over many simulated loads: how far off it is, whether it says so, and whether its verdict is right."""
+"""The measurement over many simulated loads: how far off it is, whether it knows, and whether its verdict is right."""
 
 import csv
 import hashlib

@@ -14,6 +14,8 @@ Grey = NDArray[np.uint8]
 Region = tuple[int, int, int, int]
 
 CORNERS_A_PACKAGE = 8
+LEAST_SIZE, LARGEST_SIZE = 0.6, 1.5
+"""Sizes of a tag in the picture, as shares of what is expected on the faces."""
 
 
 class TagTracker:
@@ -38,6 +40,7 @@ class TagTracker:
         parameters.adaptiveThreshWinSizeMax = window
         parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         parameters.cornerRefinementWinSize = max(2, round(edge_px / 12.0))
+        self._edge_px, self._parameters = edge_px, parameters
         name = f"DICT_{scene.camera.markers.dictionary.replace('apriltag', 'APRILTAG')}"
         self._detector = cv2.aruco.ArucoDetector(
             cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name)), parameters
@@ -95,6 +98,11 @@ class TagTracker:
         left, top, right, bottom = region
         if right - left < 8 or bottom - top < 8:
             return corners
+        # Outlines far from a tag's size are no tags; the rate is a share of the picture's longer edge.
+        rate = 4.0 * self._edge_px / max(right - left, bottom - top)
+        self._parameters.minMarkerPerimeterRate = LEAST_SIZE * rate
+        self._parameters.maxMarkerPerimeterRate = LARGEST_SIZE * rate
+        self._detector.setDetectorParameters(self._parameters)
         found, tags, _ = self._detector.detectMarkers(np.ascontiguousarray(grey[top:bottom, left:right]))
         if tags is None:
             return corners
