@@ -207,6 +207,70 @@ def judge(
 
 
 @app.command()
+def replay(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A bag directory or an .mcap file.")],
+    rate: Annotated[
+        float, typer.Option(metavar="X", min=0.01, max=1000.0, help="Seconds of the bag a second.")
+    ] = 1.0,
+    fast: Annotated[bool, typer.Option("--fast", help="As fast as its readers acknowledge.")] = False,
+    start: Annotated[
+        float, typer.Option(metavar="S", min=0.0, help="Begin so many seconds after the first message.")
+    ] = 0.0,
+    loop: Annotated[
+        int,
+        typer.Option(
+            metavar="N", min=0, help="Play it so often; 0: until interrupted. /clock jumps back each time."
+        ),
+    ] = 1,
+    namespace: Annotated[str, typer.Option(metavar="TO|FROM:=TO", help="Move the recorded namespace.")] = "",
+    topic: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Play only these, e.g. 'sled/*'. May be repeated."),
+    ] = None,
+    leave_out: Annotated[
+        list[str] | None,
+        typer.Option(metavar="PATTERN", help="Play all but these, e.g. 'eumos/*'. May be repeated."),
+    ] = None,
+    judge: Annotated[bool, typer.Option("--judge", help="Have it judged anew, and compare.")] = False,
+    pictures: Annotated[bool, typer.Option("--pictures", help="Have it drawn anew, and compare.")] = False,
+    guests: Annotated[
+        int, typer.Option(min=0, max=16, help="Readers of your own that every stream must have first.")
+    ] = 0,
+    paused: Annotated[
+        bool, typer.Option("--paused", help="Begin halted; services player/pause, player/step.")
+    ] = False,
+    discovery: Annotated[
+        Literal["localhost", "subnet"],
+        typer.Option(help="Who may see the nodes: this host alone, or its network too."),
+    ] = "localhost",
+    as_json: JsonOption = False,
+) -> None:
+    """Play a recording on its own topics, with /clock.
+
+    Example: `pallet-twin replay runs/eur_columns/bag --judge --fast` gives the verdict that was given live.
+    """
+    from ros_nodes import replay as playing
+
+    with output.played(quiet=as_json) as on_progress:
+        replayed = playing.replay(
+            bag,
+            rate=None if fast else rate,
+            start_s=start,
+            loop=loop,
+            namespace=namespace,
+            topics=topic or (),
+            leave_out=leave_out or (),
+            judge=judge,
+            pictures=pictures,
+            guests=guests,
+            paused=paused,
+            discovery=discovery,
+            on_progress=on_progress,
+        )
+    output.show_replayed(replayed, as_json=as_json)
+
+
+@app.command()
 def measure(
     bag: Annotated[
         Path, typer.Argument(metavar="BAG", help="A bag directory or an .mcap file with pictures.")

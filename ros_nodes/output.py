@@ -23,6 +23,7 @@ from sim_core.report_words import tore_film, turns_words
 
 if TYPE_CHECKING:
     from recordings.measure_bag import MeasuredBag
+    from ros_nodes.replay import Replayed
     from sim_core.stress import StressResult
     from sim_core.vision.sweep import SightSummary
 
@@ -73,6 +74,39 @@ def counter(title: str, *, quiet: bool) -> Iterator[Callable[[int, int, object],
     ) as bar:  # fmt: skip
         task = bar.add_task(title, total=None)
         yield lambda done, total, _row: bar.update(task, completed=done, total=total)
+
+
+@contextmanager
+def played(*, quiet: bool) -> Iterator[Callable[[float, float, int], None] | None]:
+    """A progress bar over a recording's time, on standard error."""
+    if quiet:
+        yield None
+        return
+    with Progress(
+        TextColumn("replay"), BarColumn(), TextColumn("{task.fields[words]}"), TimeElapsedColumn(),
+        console=Console(stderr=True), transient=True,
+    ) as bar:  # fmt: skip
+        task = bar.add_task("replay", total=None, words="")
+
+        def advance(played_s: float, duration_s: float, messages: int) -> None:
+            words = f"{played_s:.2f} of {duration_s:.2f} s, {messages} messages"
+            bar.update(task, completed=min(played_s, duration_s), total=duration_s, words=words)
+
+        yield advance
+
+
+def show_replayed(replayed: "Replayed", *, as_json: bool) -> None:
+    """What was played, how well in time, and what came of it anew; ends with 4 where that is something else."""
+    from ros_nodes.replay import replay_lines
+
+    if as_json:
+        told = {**vars(replayed), "bag": str(replayed.bag)}
+        print(report_json({**told, "compared": [vars(compared) for compared in replayed.compared]}))
+    else:
+        for line in replay_lines(replayed):
+            print(line)
+    if any(compared.recorded and not compared.is_equal for compared in replayed.compared):
+        sys.exit(NOT_MET)
 
 
 def show_stress(results: "Sequence[StressResult]", out: Path | None, *, as_json: bool) -> None:

@@ -121,7 +121,9 @@ def _ring(drawn: Picture, place: Array, words: str, scale: float) -> None:
         int(np.clip(left, 0, max(drawn.shape[1] - wide, 0))),
         int(np.clip(y // _FINE - 14 * scale, tall, drawn.shape[0] - 1)),
     )
-    cv2.putText(drawn, words, at, _FONT, size, PAPER, 3 * thick, cv2.LINE_AA)
+    edge = round(5 * scale)
+    corners = (at[0] - edge, at[1] - tall - edge), (at[0] + wide + edge, at[1] + edge)
+    cv2.rectangle(drawn, *corners, PAPER, cv2.FILLED)
     cv2.putText(drawn, words, at, _FONT, size, RED, thick, cv2.LINE_AA)
 
 
