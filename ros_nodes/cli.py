@@ -121,6 +121,9 @@ def up(
     set_: SetOption = None,
     estimate: EstimateOption = True,
     page: PageOption = True,
+    view: Annotated[
+        bool, typer.Option("--view", help="Show it live on a page, at http://127.0.0.1:9090 while it runs.")
+    ] = False,
     pictures: Annotated[
         Path | None,
         typer.Option(
@@ -155,6 +158,11 @@ def up(
     require_estimate(loaded, estimate)
     if record is not None and no_record:
         raise RefusedInput("--record", str(record), "contradicts --no-record")
+    if view:
+        from ros_nodes.viewer_node import require_rerun
+
+        require_rerun()
+        print("view    http://127.0.0.1:9090/ while it runs", file=sys.stderr)
     if pictures is not None and loaded.camera is None:
         raise RefusedInput("--pictures", str(pictures), "needs a camera in the scene")
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record, with_page=page)
@@ -167,6 +175,7 @@ def up(
             with_estimate=estimate,
             guests=guests,
             pictures=pictures,
+            with_view=view,
             on_progress=on_progress,
         )
     output.finish(outcome, as_json=as_json, require=require)
@@ -268,6 +277,47 @@ def replay(
             on_progress=on_progress,
         )
     output.show_replayed(replayed, as_json=as_json)
+
+
+@app.command()
+def view(
+    bag: Annotated[
+        Path | None,
+        typer.Argument(metavar="[BAG]", help="A bag directory or an .mcap file; none with --live."),
+    ] = None,
+    live: Annotated[
+        bool, typer.Option("--live", help="Show what runs under --namespace, test after test.")
+    ] = False,
+    web: Annotated[
+        bool, typer.Option("--web", help="Serve a page for a browser on this host, without a window.")
+    ] = False,
+    save: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write a rerun recording, an .rrd, and show nothing.")
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="Of the nodes to look at.")] = "/twin",
+    data_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Of rerun's data; 0 takes a free one.")
+    ] = 9876,
+    page_port: Annotated[int, typer.Option(min=0, max=65535, help="Of the page; 0 takes a free one.")] = 9090,
+) -> None:
+    """Look at a recording, or at a running test, in rerun: load, film, camera, displacement against the limits.
+
+    Example: `pallet-twin view runs/eur_camera/bag --web`. Needs the extra `view`; nothing leaves this host.
+    """
+    from ros_nodes import view as viewing
+
+    viewing.view(
+        bag,
+        live=live,
+        namespace=namespace,
+        web=web,
+        save=save,
+        data_port=data_port,
+        page_port=page_port,
+        on_page=lambda url: print(f"view    {url}", flush=True),
+    )
+    if save is not None:
+        print(f"view    {save}")
 
 
 @app.command()

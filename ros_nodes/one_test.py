@@ -240,6 +240,7 @@ def run_graph(
     with_estimate: bool = True,
     guests: int = 0,
     pictures: Path | None = None,
+    with_view: bool = False,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test as a node graph.
@@ -266,7 +267,7 @@ def run_graph(
         scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements
     else:
         scene, why = with_setting(scene)
-    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures).run()
+    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures, with_view).run()
     judged = json.loads(result.judgement_json)
     if estimate is None and with_estimate and scene.packages and result.ended_by is None:
         companion = Companion(scene)

@@ -112,6 +112,7 @@ class Supervisor:
         on_progress: called with simulated time [s] and the names and states of the rules.
         guests: readers from outside that each stream must have before the first sample.
         pictures: bag whose pictures the camera shows, or None to draw them.
+        with_view: whether a live view is served.
     """
 
     scene: Scene
@@ -120,6 +121,7 @@ class Supervisor:
     on_progress: Callable[[float, dict[str, str]], None] | None = None
     guests: int = 0
     pictures: Path | None = None
+    with_view: bool = False
     _nodes: list[NodeProcess] = field(default_factory=list)
     _states: dict[str, str] = field(default_factory=dict)
     _report: str | None = None
@@ -227,6 +229,11 @@ class Supervisor:
         """
         recorded = [topic.name for topic in recorded_topics(self.scene)] if self.bag is not None else []
         taken_down = dict.fromkeys(recorded, 1)
+        if self.with_view:
+            from ros_nodes.viewer_node import VIEWED
+
+            taken_down |= {topic.name: taken_down.get(topic.name, 0) + 1 for topic in VIEWED}
+            yield "viewer_node", {}
         cameras, visions = int(self.scene.camera is not None), int(self._measures)
         film = {"wrap/strain": 1 + cameras + self.guests} if self.scene.film is not None else {}
         if self.bag is not None:
