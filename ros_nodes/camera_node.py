@@ -29,8 +29,7 @@ from msgs_adapters.topics import (
     SLED_ODOMETRY,
     WRAP_STRAIN,
 )
-from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
-from ros_nodes.readers import readers_wanted
+from ros_nodes.node_process import SUCCESS, LifecycleState, TwinNode, run_node
 
 if TYPE_CHECKING:
     from sim_core.camera.shot import Shot, ShotsInOrder
@@ -51,9 +50,7 @@ class CameraNode(TwinNode):
 
     def __init__(self) -> None:
         super().__init__("camera_node")
-        self._readers = self.declare(
-            "readers", "", "matched readers to wait for, topic=count, comma-separated"
-        )
+        self.await_readers()
         self._pictures = self.declare(
             "pictures",
             "",
@@ -83,14 +80,12 @@ class CameraNode(TwinNode):
         return True
 
     def on_activate(self, state: LifecycleState) -> Any:
-        """Waits for its readers, and begins to draw what comes."""
-        missing = self.wait_for_readers(readers_wanted(self._readers))
-        if missing is not None:
-            self.get_logger().error(f"no reader for {missing}")
-            return FAILURE
-        # A timer of its own, so that messages are taken in between two pictures.
-        self._timer = self.create_timer(DRAW_PERIOD_S, self._draw_one)
-        return super().on_activate(state)
+        """Begins to draw what comes, once its readers are there."""
+        result = super().on_activate(state)
+        if result == SUCCESS:
+            # A timer of its own, so that messages are taken in between two pictures.
+            self._timer = self.create_timer(DRAW_PERIOD_S, self._draw_one)
+        return result
 
     def on_end(self) -> None:
         """Sees that every reader has every picture, and says how the pace was kept."""

@@ -18,6 +18,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 from config.errors import PalletTwinError
 from msgs_adapters.publications import Publication
 from msgs_adapters.topics import Topic, message_class, to_rclpy
+from ros_nodes.readers import readers_wanted
 
 SPIN_PERIOD_S = 0.05
 SUPERVISED = "PALLET_TWIN_SUPERVISED"
@@ -40,6 +41,16 @@ class TwinNode(LifecycleNode):  # type: ignore[misc]
         self.failure: str | None = None
         self.error: PalletTwinError | None = None
         self.done = False
+        self._awaited: dict[str, int] = {}
+
+    def await_readers(self) -> None:
+        """Declares the parameter ``readers``: the node becomes active once its topics have so many matched readers.
+
+        Raises:
+            RefusedInput: the parameter has another form.
+        """
+        text = self.declare("readers", "", "matched readers to wait for, topic=count, comma-separated")
+        self._awaited = readers_wanted(text)
 
     def declare(self, name: str, default: Any, text: str, **limits: Any) -> Any:
         """Declares a read-only parameter with its description and range, and returns its value."""
@@ -124,6 +135,14 @@ class TwinNode(LifecycleNode):  # type: ignore[misc]
             self.error, self.done = error, True
             return FAILURE
         return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> Any:
+        """Waits for the readers that were asked for."""
+        missing = self.wait_for_readers(self._awaited)
+        if missing is not None:
+            self.get_logger().error(f"no reader for {missing}")
+            return FAILURE
+        return super().on_activate(state)
 
     def on_stop(self) -> bool:
         """Called again and again after a signal asked the process to end; True when it may."""

@@ -15,8 +15,7 @@ from msgs_adapters.topics import (
     SCENE,
     WRAP_STRAIN,
 )
-from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
-from ros_nodes.readers import readers_wanted
+from ros_nodes.node_process import TwinNode, run_node
 from sim_core.judge import EumosJudge
 from sim_core.report import judgement, report_json
 from sim_core.run import status_due
@@ -31,9 +30,7 @@ class ValidatorNode(TwinNode):
 
     def __init__(self) -> None:
         super().__init__("validator_node")
-        self._readers = self.declare(
-            "readers", "", "matched readers to wait for, topic=count, comma-separated"
-        )
+        self.await_readers()
         self._scene: Scene | None = None
         self._judge: EumosJudge | None = None
         self._frames: FramesInOrder | None = None
@@ -51,14 +48,6 @@ class ValidatorNode(TwinNode):
         self.listen(PACKAGES_POSES, self._take_poses, raw=True)
         self.listen(PHYSICS_PROGRESS, self._take_progress)
         return True
-
-    def on_activate(self, state: LifecycleState) -> Any:
-        """Waits for its readers."""
-        missing = self.wait_for_readers(readers_wanted(self._readers))
-        if missing is not None:
-            self.get_logger().error(f"no reader for {missing}")
-            return FAILURE
-        return super().on_activate(state)
 
     def on_end(self) -> None:
         """Sees that every reader has the report."""

@@ -16,8 +16,7 @@ from msgs_adapters.topics import (
     VISION_REPORT,
 )
 from recordings.live_measurement import LiveMeasurement
-from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
-from ros_nodes.readers import readers_wanted
+from ros_nodes.node_process import TwinNode, run_node
 
 
 class VisionNode(TwinNode):
@@ -29,9 +28,7 @@ class VisionNode(TwinNode):
 
     def __init__(self) -> None:
         super().__init__("vision_node")
-        self._readers = self.declare(
-            "readers", "", "matched readers to wait for, topic=count, comma-separated"
-        )
+        self.await_readers()
         self._scene: Scene | None = None
         self._calibration: Calibration | None = None
         self._measurement: LiveMeasurement | None = None
@@ -48,14 +45,6 @@ class VisionNode(TwinNode):
         self.listen(CAMERA_IMAGE, self._take_picture, raw=True)
         self.listen(CAMERA_PROGRESS, self._take_progress)
         return True
-
-    def on_activate(self, state: LifecycleState) -> Any:
-        """Waits for its readers."""
-        missing = self.wait_for_readers(readers_wanted(self._readers))
-        if missing is not None:
-            self.get_logger().error(f"no reader for {missing}")
-            return FAILURE
-        return super().on_activate(state)
 
     def on_end(self) -> None:
         """Sees that every reader has the report."""
