@@ -14,7 +14,7 @@ from config.errors import BrokenRecording
 from msgs_adapters.topics import Topic, message_class
 from recordings.bag_writer import CONTINUED_RECORD, UNFINISHED_SUFFIX
 from recordings.mcap_source import McapSource
-from recordings.receive_times import RECEIVE_TIMES, receive_times_of
+from recordings.receive_times import RECEIVE_TIMES_RECORD, receive_times_of
 from recordings.rosbag2_metadata import METADATA_FILE, parse_qos, read_file_names
 
 
@@ -115,15 +115,14 @@ class BagReader:
 
     @property
     def attachment_names(self) -> list[str]:
-        """Names of the attached files, in order; the times of reception aside."""
-        names = [index.name for part in self._parts for index in part.summary.attachment_indexes]
-        return [name for name in names if name != RECEIVE_TIMES]
+        """Names of the attached files, in order."""
+        return [index.name for part in self._parts for index in part.summary.attachment_indexes]
 
     @property
     def metadata_names(self) -> list[str]:
-        """Names of the metadata records, each once, in order."""
-        names = (index.name for part in self._parts for index in part.summary.metadata_indexes)
-        return list(dict.fromkeys(names))
+        """Names of the metadata records, each once, in order; the times of reception aside."""
+        names = dict.fromkeys(index.name for part in self._parts for index in part.summary.metadata_indexes)
+        return [name for name in names if name != RECEIVE_TIMES_RECORD]
 
     def messages(
         self,
@@ -184,15 +183,13 @@ class BagReader:
         """
         if topic_name not in self.topics:
             raise BrokenRecording("topic", topic_name, self._lacks(self.topics))
-        batches = [
-            receive_times_of(part.attachment(index.offset, RECEIVE_TIMES), topic_name)
+        records = (
+            part.metadata(index.offset, RECEIVE_TIMES_RECORD)
             for part in self._parts
-            for index in part.summary.attachment_indexes
-            if index.name == RECEIVE_TIMES
-        ]
-        empty = np.empty(0, dtype=np.int64)
-        sequences, times_ns = zip(*batches, strict=True) if batches else ((empty,), (empty,))
-        return np.concatenate(sequences), np.concatenate(times_ns)
+            for index in part.summary.metadata_indexes
+            if index.name == RECEIVE_TIMES_RECORD
+        )
+        return receive_times_of(records, topic_name)
 
     def verify(self) -> None:
         """Reads the whole recording once, and compares every checksum and every count in it.

@@ -10,7 +10,7 @@ from typing import Self
 from config.errors import RefusedInput
 from msgs_adapters.topics import TWIN_NAMESPACE, Topic
 from recordings.mcap_file import McapFile
-from recordings.receive_times import BATCH_LIMIT, MEDIA_TYPE, RECEIVE_TIMES, ReceiveTimes
+from recordings.receive_times import BATCH_LIMIT, RECEIVE_TIMES_RECORD, ReceiveTimes
 from recordings.rosbag2_metadata import (
     FileSummary,
     TopicSummary,
@@ -72,9 +72,9 @@ class BagWriter:
         split_s: float | None = None,
         in_order: bool = True,
     ) -> None:
-        for name, limit in (("split_bytes", split_bytes), ("split_s", split_s)):
-            if limit is not None and not limit > 0:
-                raise RefusedInput(name, limit, "must be greater than 0")
+        for name, size in (("split_bytes", split_bytes), ("split_s", split_s)):
+            if size is not None and not size > 0:
+                raise RefusedInput(name, size, "must be greater than 0")
         self._directory = _empty_directory(directory)
         self._chunk_bytes = chunk_bytes
         self._chunk_period_ns = round(chunk_period_s * 1e9)
@@ -314,7 +314,7 @@ class BagWriter:
         given_back = None
         for is_last in (False, False, True):
             try:
-                self._attach_receive_times()
+                self._write_receive_times()
                 self._file.close_chunk()
                 counts = [self._file.counts.get(channel, 0) for channel in self._channels.values()]
                 topics = [
@@ -347,14 +347,14 @@ class BagWriter:
         age_ns = abs(receive_time_ns - self._batch_start_ns)
         if age_ns >= _RECEIVE_PERIOD_NS or len(self._receive_times) >= BATCH_LIMIT:
             try:
-                self._attach_receive_times()
+                self._write_receive_times()
             except OSError as error:
                 self._give_back(error)
                 raise
 
-    def _attach_receive_times(self) -> None:
+    def _write_receive_times(self) -> None:
         if len(self._receive_times):
-            self.attach(RECEIVE_TIMES, MEDIA_TYPE, self._receive_times.take())
+            self._file.add_metadata(RECEIVE_TIMES_RECORD, self._receive_times.take())
 
 
 def _empty_directory(directory: Path) -> Path:

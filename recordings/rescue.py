@@ -5,7 +5,7 @@ import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,8 +23,17 @@ from recordings.bag_writer import (
     UNFINISHED_SUFFIX,
     BagWriter,
 )
-from recordings.mcap_records import RawMessage, RawRecord, header_of, index_entries, parsed, records_of_chunk
-from recordings.mcap_source import McapSource
+from recordings.mcap_file import is_being_written
+from recordings.mcap_records import (
+    HEAD,
+    DamagedRecord,
+    RawMessage,
+    RawRecord,
+    index_entries,
+    parsed,
+    records_of_chunk,
+)
+from recordings.mcap_source import McapSource, reading
 from recordings.rosbag2_metadata import METADATA_FILE, parse_qos
 from recordings.salvage import Damage, salvage
 from recordings.schemas import MessageDefinition
@@ -33,6 +42,7 @@ from recordings.test_bag import SCENE_ATTACHMENT, attach_scene
 
 RECOVERY_RECORD = "pallet-twin recovery"
 BROKEN_SUFFIX = ".broken"
+_NAMING = (Opcode.SCHEMA, Opcode.CHANNEL)
 
 
 @dataclass(frozen=True)
@@ -48,6 +58,7 @@ class Recovery:
         start_ns: log time of the first message [ns].
         end_ns: log time of the last message [ns]; what came later is lost where the recording was cut.
         scene: whether the scene stands in the bag as an attachment still, again, or not at all.
+        unchecked_names: names and types of topics come from an index whose checksum does not match.
         originals: the files as they were, where damage stands inside them; else they are gone, or untouched.
     """
 
@@ -59,6 +70,7 @@ class Recovery:
     start_ns: int
     end_ns: int
     scene: Literal["whole", "restored", "absent"]
+    unchecked_names: bool = False
     originals: tuple[Path, ...] = ()
 
     @property
@@ -83,6 +95,8 @@ class Recovery:
         if not self.missing and not self.damages:
             lines.append("no message is missing")
         told = {"whole": "is there", "restored": "was made again from its message", "absent": "is not in it"}
+        if self.unchecked_names:
+            lines.append("topic names come from an index whose checksum does not match: they may be wrong")
         lines.append(f"the scene {told[self.scene]}")
         lines += [f"the damaged file is kept as {path}" for path in self.originals]
         return lines
@@ -95,7 +109,9 @@ class Recovery:
         place = f"{damage.file.name}: {damage.size} bytes at byte {damage.offset}"
         if damage.is_end:
             after_s = (self.end_ns - self.start_ns) / 1e9
-            return f"{place} are its unfinished end: nothing is known of what came after {after_s:.3f} s{span}"
+            return (
+                f"{place} are its unfinished end: nothing is known of what came after {after_s:.3f} s{span}"
+            )
         return f"{place} are damaged ({damage.reason}){span}"
 
 
@@ -113,10 +129,14 @@ def recover_bag(path: Path, out: Path | None = None) -> Recovery:
 
     Raises:
         BrokenRecording: there is no recording, or nothing in it can be read.
-        RefusedInput: ``out`` is not empty or cannot be made.
+        RefusedInput: it is being recorded, or ``out`` is not empty or cannot be made.
         OSError: the disk is full; the original is as it was.
     """
     files = _files_of(path)
+    for file in files:
+        with reading(file):
+            if is_being_written(file):
+                raise RefusedInput("bag", str(file), "is being recorded right now")
     if out is None and path.is_dir():
         whole = _if_whole(path)
         return whole if whole is not None else _recover_in_place(path, files)
@@ -183,7 +203,7 @@ def _recover_in_place(directory: Path, files: Sequence[Path]) -> Recovery:
         if entry not in damaged:
             name.unlink()
     kept = tuple(name for entry, name in aside if entry in damaged)
-    return Recovery(**{**vars(recovery), "originals": kept})
+    return replace(recovery, originals=kept)
 
 
 def _free_name(entry: Path) -> Path:
@@ -193,15 +213,18 @@ def _free_name(entry: Path) -> Path:
 
 def _recover_into(files: Sequence[Path], out: Path, bag: Path) -> Recovery:
     split_bytes = max(file.stat().st_size for file in files) if len(files) > 1 else None
-    with BagWriter(out, split_bytes=split_bytes, in_order=False) as writer:
-        copy = _Copy(writer)
-        for file in files:
-            copy.add_file(file)
-        if not copy.topics:
-            writer.close()
-            shutil.rmtree(out)
-            raise BrokenRecording("bag", str(bag), "holds nothing that can be read")
-        return copy.finish(bag)
+    writer = BagWriter(out, split_bytes=split_bytes, in_order=False)
+    try:
+        with writer:
+            copy = _Copy(writer)
+            for file in files:
+                copy.add_file(file)
+            if not copy.has_content:
+                raise BrokenRecording("bag", str(bag), "holds no message that can be read")
+            return copy.finish(bag)
+    except (OSError, RefusedInput):
+        shutil.rmtree(out, ignore_errors=True)
+        raise
 
 
 @dataclass
@@ -221,25 +244,24 @@ class _Copy:
         self._writer = writer
         self._damages: list[Damage] = []
         self._lost: Counter[str] = Counter()
-        self._counted: Counter[str] = Counter()
         self._scene_json: str | None = None
         self._attachments: set[str] = set()
+        self._is_unchecked = False
         self._span_ns: tuple[int, int] | None = None
 
     def add_file(self, path: Path) -> None:
         """Copies a file."""
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, str] = {}
-        self._repeated: Mapping[str, str] = {}
+        self._spare: list[RawRecord] = []
         self._numbers_its_messages = False
-        with suppress(BrokenRecording):
-            source = McapSource(path)
-            source.close()
-            for channel in source.channels.values():
-                self._schemas[channel.schema_id] = source.schema_of(channel)
-                self._add_channel(channel)
-                count = source.statistics.channel_message_counts.get(channel.id, 0)
-                self._counted[channel.topic] += count
+        self._kept: Counter[str] = Counter()
+        lost: Counter[str] = Counter()
+        counted = self._counts_of_index(path)
+        # What names the channels may stand only behind the messages, when the chunk that began the file is lost.
+        if not counted:
+            found_records = (found[0] for found in salvage(path) if not isinstance(found, Damage))
+            self._spare = [record for record in found_records if record.opcode in _NAMING]
         is_lost = False
         for found in salvage(path):
             if isinstance(found, Damage):
@@ -249,16 +271,34 @@ class _Copy:
             record, content = found
             if record.opcode == Opcode.CHUNK:
                 is_lost = False
-                for part in records_of_chunk(content, record.offset):
-                    self._add(part)
+                self._add_all(content, record, path)
             elif record.opcode == Opcode.MESSAGE_INDEX and is_lost:
                 # The index behind a chunk outlives it.
                 channel_id, count = index_entries(record)
-                self._lost[self._channels.get(channel_id, f"channel {channel_id}")] += count
-            elif record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                is_lost = False
+                lost[self._channels.get(channel_id, f"channel {channel_id}")] += count
+            elif record.opcode == Opcode.MESSAGE:
+                self._add_all(HEAD.pack(record.opcode, len(record.body)) + record.body, record, path)
             else:
                 self._add_record(record)
+        self._lost += lost | (counted - self._kept)
+
+    def _counts_of_index(self, path: Path) -> Counter[str]:
+        """How many messages of each topic a file has that still has its index; its channels are taken over."""
+        counts: Counter[str] = Counter()
+        with suppress(BrokenRecording):
+            source = McapSource(path)
+            source.close()
+            for channel in source.channels.values():
+                self._schemas[channel.schema_id] = source.schema_of(channel)
+                self._add_channel(channel)
+                counts[channel.topic] += source.statistics.channel_message_counts.get(channel.id, 0)
+        return counts
+
+    @property
+    def has_content(self) -> bool:
+        """Whether there is anything to finish: a message, or a recording that was cut before its first one."""
+        is_damaged = any(not damage.is_end for damage in self._damages)
+        return self._span_ns is not None or (self._numbers_its_messages and not is_damaged)
 
     def finish(self, bag: Path) -> Recovery:
         """Closes the new bag; ``bag`` is how it will be called."""
@@ -271,12 +311,14 @@ class _Copy:
                 attach_scene(self._writer, scene_from_json(self._scene_json))
                 scene = "restored"
         counts = dict(self._writer.message_counts)
-        missing = {name: self._missing(name, counts.get(name, 0)) for name in {**counts, **self._lost}}
+        missing = {name: self._missing(name) for name in {**counts, **self._lost}}
         missing = {name: count for name, count in missing.items() if count > 0}
         self._writer.add_metadata(RECOVERY_RECORD, self._record(missing, scene))
         self._writer.close()
         start_ns, end_ns = self._span_ns or (0, 0)
-        return Recovery(bag, False, counts, missing, tuple(self._damages), start_ns, end_ns, scene)
+        return Recovery(
+            bag, False, counts, missing, tuple(self._damages), start_ns, end_ns, scene, self._is_unchecked
+        )
 
     def _record(self, missing: Mapping[str, int], scene: str) -> dict[str, str]:
         values = {"rescued": "from a recording that was damaged or not finished", "scene": scene}
@@ -285,27 +327,18 @@ class _Copy:
             values[f"damage {number}"] = f"{place}: {'its end' if damage.is_end else damage.reason}"
         return values | {f"missing {name}": str(count) for name, count in missing.items()}
 
-    def _missing(self, name: str, kept: int) -> int:
+    def _missing(self, name: str) -> int:
         """The largest of what index, numbers and stamps say; each may know less than the others."""
         state = self.topics.get(name, _TopicState())
-        repeats = max(0, self._counted[name] - kept) if name in self._whole_counts() else 0
-        return max(self._lost[name], state.skipped, state.gaps.missing, repeats)
-
-    def _whole_counts(self) -> set[str]:
-        """Topics whose number an index that is whole told; what files repeat makes it too large."""
-        return {name for name in self._counted if name not in self._repeated}
+        return max(self._lost[name], state.skipped, state.gaps.missing)
 
     def _add_record(self, record: RawRecord) -> None:
         if record.opcode == Opcode.HEADER:
-            header: Header = header_of(record)
-            self._numbers_its_messages = header.library.startswith(LIBRARY)
+            self._numbers_its_messages = parsed(record, Header).library.startswith(LIBRARY)
         elif record.opcode == Opcode.SCHEMA:
             self._add(parsed(record, Schema))
         elif record.opcode == Opcode.CHANNEL:
             self._add(parsed(record, Channel))
-        elif record.opcode == Opcode.MESSAGE:
-            for part in records_of_chunk(bytes([record.opcode]) + len(record.body).to_bytes(8, "little") + record.body, 0):
-                self._add(part)
         elif record.opcode == Opcode.ATTACHMENT:
             attached = parsed(record, Attachment)
             self._attachments.add(attached.name)
@@ -314,10 +347,17 @@ class _Copy:
             )
         elif record.opcode == Opcode.METADATA:
             metadata = parsed(record, Metadata)
-            if metadata.name == CONTINUED_RECORD:
-                self._repeated = metadata.metadata
-            elif metadata.name != ROSBAG2_RECORD:
+            if metadata.name not in (ROSBAG2_RECORD, CONTINUED_RECORD):
                 self._writer.add_metadata(metadata.name, metadata.metadata)
+
+    def _add_all(self, content: bytes, record: RawRecord, path: Path) -> None:
+        """Adds a chunk's records; one whose writer computed no checksum can be damaged all the same."""
+        try:
+            for part in records_of_chunk(content, record.offset):
+                self._add(part)
+        except DamagedRecord as error:
+            size = record.end - record.offset
+            self._damages.append(Damage(path, record.offset, size, str(error), False, None))
 
     def _add(self, part: RawMessage | Schema | Channel) -> None:
         if isinstance(part, Schema):
@@ -335,21 +375,28 @@ class _Copy:
         text = schema.data.decode(errors="replace")
         definition = MessageDefinition(schema.name, text, type_hash, schema.encoding)
         topic = Topic(channel.topic, schema.name, parse_qos(channel.metadata.get("offered_qos_profiles", "")))
-        self._channels[channel.id] = self._writer.add_topic(topic, definition=definition)
-        self.topics.setdefault(channel.topic, _TopicState())
+        # A name that stands for another type already is a damaged one; its messages count as lost.
+        with suppress(RefusedInput):
+            self._channels[channel.id] = self._writer.add_topic(topic, definition=definition)
+            self.topics.setdefault(self._channels[channel.id], _TopicState())
 
     def _add_message(self, message: RawMessage) -> None:
+        if message.channel not in self._channels and self._spare:
+            spare, self._spare, self._is_unchecked = self._spare, [], True
+            for record in spare:
+                self._add_record(record)
         name = self._channels.get(message.channel)
         if name is None:
             self._lost[f"channel {message.channel}"] += 1
             return
-        state, number = self.topics[name], None
+        self._kept[name] += 1
+        state = self.topics[name]
         if self._numbers_its_messages:
-            number = message.sequence
-            if name in self._repeated and number <= state.last_sequence:
+            # What a file repeats of the one before it, or a copy that went wrong.
+            if message.sequence <= state.last_sequence:
                 return
-            state.skipped += max(0, number - state.last_sequence - 1)
-            state.last_sequence = number
+            state.skipped += max(0, message.sequence - state.last_sequence - 1)
+            state.last_sequence = message.sequence
         state.gaps.add(message.publish_ns)
         first, last = self._span_ns or (message.log_ns, message.log_ns)
         self._span_ns = min(first, message.log_ns), max(last, message.log_ns)
@@ -360,7 +407,7 @@ class _Copy:
             message.payload,
             log_time_ns=message.log_ns,
             publish_time_ns=message.publish_ns,
-            sequence=number,
+            sequence=message.sequence,
         )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -46,11 +47,13 @@ def qos_profiles(spec: QosSpec) -> list[dict[str, Any]]:
     ]
 
 
+@cache
 def qos_text(spec: QosSpec) -> str:
     """The same as YAML text, as a channel's ``offered_qos_profiles`` holds it."""
     return _dump(qos_profiles(spec)).rstrip("\n")
 
 
+@lru_cache(256)
 def parse_qos(text: str) -> QosSpec:
     """The first profile of a YAML text; the default where other tools wrote none or something else."""
     try:

@@ -118,6 +118,15 @@ def up(
         Path | None, typer.Option(metavar="DIR", help="Where to record the bag. Default: OUT/bag.")
     ] = None,
     no_record: Annotated[bool, typer.Option("--no-record", help="Start no recorder.")] = False,
+    split_mb: Annotated[
+        int, typer.Option(min=0, metavar="MB", help="Begin a new file of the bag after so many MB; 0: never.")
+    ] = 0,
+    split_s: Annotated[
+        float,
+        typer.Option(
+            min=0.0, metavar="S", help="Begin a new file after so many simulated seconds; 0: never."
+        ),
+    ] = 0.0,
     set_: SetOption = None,
     estimate: EstimateOption = True,
     page: PageOption = True,
@@ -176,6 +185,7 @@ def up(
             guests=guests,
             pictures=pictures,
             with_view=view,
+            split=(split_mb, split_s),
             on_progress=on_progress,
         )
     output.finish(outcome, as_json=as_json, require=require)
@@ -277,6 +287,23 @@ def replay(
             on_progress=on_progress,
         )
     output.show_replayed(replayed, as_json=as_json)
+
+
+@app.command()
+def recover(
+    bag: Annotated[
+        Path, typer.Argument(metavar="BAG", help="A bag directory, an .mcap or an .mcap.part file.")
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Write the new bag there and leave the original as it is."),
+    ] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Make a recording whole that was cut short or damaged, and say what is missing."""
+    from recordings.rescue import recover_bag
+
+    output.show_recovery(recover_bag(bag, out), as_json=as_json)
 
 
 @app.command()

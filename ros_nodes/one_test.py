@@ -241,6 +241,7 @@ def run_graph(
     guests: int = 0,
     pictures: Path | None = None,
     with_view: bool = False,
+    split: tuple[int, float] = (0, 0.0),
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test as a node graph.
@@ -267,7 +268,7 @@ def run_graph(
         scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements
     else:
         scene, why = with_setting(scene)
-    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures, with_view).run()
+    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures, with_view, split).run()
     judged = json.loads(result.judgement_json)
     if estimate is None and with_estimate and scene.packages and result.ended_by is None:
         companion = Companion(scene)

@@ -1,5 +1,6 @@
 """What the command line shows: progress, verdicts and findings."""
 
+import json
 import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,6 +24,7 @@ from sim_core.report_words import tore_film, turns_words
 
 if TYPE_CHECKING:
     from recordings.measure_bag import MeasuredBag
+    from recordings.rescue import Recovery
     from ros_nodes.replay import Replayed
     from sim_core.stress import StressResult
     from sim_core.vision.sweep import SightSummary
@@ -237,6 +239,15 @@ def show_sight(summaries: "Sequence[SightSummary]") -> None:
             f"{entry.take_ms:.0f}",
         )  # fmt: skip
     Console(highlight=False).print(table)
+
+
+def show_recovery(recovery: "Recovery", *, as_json: bool) -> None:
+    """What was saved of a broken recording, and what is missing."""
+    if as_json:
+        print(report_json(json.loads(json.dumps(asdict(recovery), default=str))))
+        return
+    for line in recovery.lines():
+        print(line)
 
 
 def show_drawn(drawn: Rendered, *, as_json: bool) -> None:

@@ -113,6 +113,7 @@ class Supervisor:
         guests: readers from outside that each stream must have before the first sample.
         pictures: bag whose pictures the camera shows, or None to draw them.
         with_view: whether a live view is served.
+        split: size [MB] and simulated time [s] after which the bag begins a new file; 0: never.
     """
 
     scene: Scene
@@ -122,6 +123,7 @@ class Supervisor:
     guests: int = 0
     pictures: Path | None = None
     with_view: bool = False
+    split: tuple[int, float] = (0, 0.0)
     _nodes: list[NodeProcess] = field(default_factory=list)
     _states: dict[str, str] = field(default_factory=dict)
     _report: str | None = None
@@ -237,7 +239,16 @@ class Supervisor:
         cameras, visions = int(self.scene.camera is not None), int(self._measures)
         film = {"wrap/strain": 1 + cameras + self.guests} if self.scene.film is not None else {}
         if self.bag is not None:
-            yield "recorder_node", {"bag": str(self.bag.resolve()), "topics": ",".join(recorded)}
+            size_mb, after_s = self.split
+            yield (
+                "recorder_node",
+                {
+                    "bag": str(self.bag.resolve()),
+                    "topics": ",".join(recorded),
+                    "split_mb": size_mb,
+                    "split_s": float(after_s),
+                },
+            )
         yield "validator_node", {"readers": readers_text(_sum(taken_down, {"eumos/status": 1, "eumos/report": 1},
                                                               only=("eumos/status", "eumos/report")))}  # fmt: skip
         physics = _sum(

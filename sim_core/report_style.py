@@ -59,7 +59,8 @@ td{max-width:320px}
 .bar{display:inline-block;width:44px;height:9px;border:1px solid var(--faint);vertical-align:middle}
 .bar span{display:block;height:100%;background:var(--open)}.bar.pass span{background:var(--good)}
 .bar.fail span{background:var(--bad)}
-figure{margin:0}.picture{margin:0 0 12px}.picture img,.picture video{display:block;width:100%;height:auto;border-radius:4px}
+figure{margin:0}.picture{margin:0 0 12px}
+.picture img,.picture video{display:block;width:100%;height:auto;border-radius:4px}
 .picture figcaption{color:var(--faint);font-size:.9em;padding-top:4px}.film dl{margin-top:14px}
 svg{display:block;width:100%;height:auto}
 svg *{stroke-linejoin:round;stroke-linecap:butt}
