@@ -78,6 +78,8 @@ CAMERA_INFO = Topic("camera/camera_info", "sensor_msgs/msg/CameraInfo", PICTURES
 CAMERA_PROGRESS = Topic("camera/progress", "diagnostic_msgs/msg/DiagnosticStatus", STATUS)
 VISION_DISPLACEMENT = Topic("vision/displacement", "sensor_msgs/msg/PointCloud2", PICTURES)
 VISION_REPORT = Topic("vision/report", "std_msgs/msg/String", LATCHED)
+RESIDUAL_DISPLACEMENT = Topic("residual/displacement", "sensor_msgs/msg/PointCloud2", PICTURES)
+RESIDUAL_REPORT = Topic("residual/report", "std_msgs/msg/String", LATCHED)
 # Of a replay alone, so no recorder is offered it.
 PLAYER_PROGRESS = Topic("player/progress", "diagnostic_msgs/msg/DiagnosticStatus", LATCHED)
 # Only in bags: the wheels hold no tf2_msgs.
@@ -104,6 +106,8 @@ ALL_TOPICS = (
     CAMERA_PROGRESS,
     VISION_DISPLACEMENT,
     VISION_REPORT,
+    RESIDUAL_DISPLACEMENT,
+    RESIDUAL_REPORT,
     TF,
 )
 

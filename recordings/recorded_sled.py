@@ -70,7 +70,7 @@ def sled_of_bag(reader: "BagReader", sled: RecordedSled, samples_hz: int) -> dic
     """
     from recordings.bench_acceleration import IMU, bench_motion
 
-    topic = _sled_topic(reader, sled.topic)
+    topic = sled_topic(reader, sled.topic)
     if reader.topics[topic].topic.type_name != IMU:
         return {"topic": sled.topic, "samples_mps2": _samples(reader, topic, samples_hz)}
     motion = bench_motion(reader, topic, samples_hz=samples_hz, direction=sled.direction)
@@ -83,8 +83,13 @@ def sled_of_bag(reader: "BagReader", sled: RecordedSled, samples_hz: int) -> dic
     }
 
 
-def _sled_topic(reader: "BagReader", wanted: str) -> str:
-    """The topic that the sled's motion is taken from."""
+def sled_topic(reader: "BagReader", wanted: str) -> str:
+    """Absolute name of the topic of a bag that the sled's motion is taken from; ``wanted`` may be relative, or empty.
+
+    Raises:
+        RefusedInput: the wanted topic carries no acceleration.
+        BrokenRecording: there is none, or more than one.
+    """
     from msgs_adapters.topics import SLED_ACCELERATION
     from recordings.bench_acceleration import IMU, imu_topics
     from recordings.judge_bag import topic_in_bag, topics_in_bag

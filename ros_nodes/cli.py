@@ -130,6 +130,14 @@ def up(
     set_: SetOption = None,
     estimate: EstimateOption = True,
     page: PageOption = True,
+    bench: Annotated[
+        bool,
+        typer.Option(
+            "--bench",
+            help="Drive it by /machine/sled/accelerometer, while the machine moves, and tell what differs from"
+            " /machine/vision/displacement where that is published.",
+        ),
+    ] = False,
     view: Annotated[
         bool, typer.Option("--view", help="Show it live on a page, at http://127.0.0.1:9090 while it runs.")
     ] = False,
@@ -172,6 +180,10 @@ def up(
 
         require_rerun()
         print("view    http://127.0.0.1:9090/ while it runs", file=sys.stderr)
+    if bench and loaded.solver.tolerance_mm is not None:
+        raise RefusedInput(
+            "solver.tolerance_mm", loaded.solver.tolerance_mm, "cannot be planned for with --bench"
+        )
     if pictures is not None and loaded.camera is None:
         raise RefusedInput("--pictures", str(pictures), "needs a camera in the scene")
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record, with_page=page)
@@ -186,6 +198,7 @@ def up(
             pictures=pictures,
             with_view=view,
             split=(split_mb, split_s),
+            bench=bench,
             on_progress=on_progress,
         )
     output.finish(outcome, as_json=as_json, require=require)
@@ -345,6 +358,88 @@ def view(
     )
     if save is not None:
         print(f"view    {save}")
+
+
+SceneOption = Annotated[
+    str | None,
+    typer.Option(
+        "--scene",
+        metavar="SCENE",
+        help="The load that was tested, as for run. Default: the scene in the bag.",
+    ),
+]
+SledTopicOption = Annotated[
+    str,
+    typer.Option("--sled", metavar="TOPIC", help="Of the sled's accelerometer. Default: the bag's only one."),
+]
+DisplacementOption = Annotated[
+    str,
+    typer.Option(
+        "--displacement",
+        metavar="TOPIC",
+        help="What was measured. Default: packages/poses, else vision/displacement.",
+    ),
+]
+
+
+@app.command()
+def calibrate(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A recording of a bench, or of the twin.")],
+    scene: SceneOption = None,
+    fit: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--fit",
+            metavar="KEY",
+            help="friction:A/B of two surfaces, force_fields.tension, wrap.wrap_force_n and the like. May be repeated."
+            " Default: what is usual for the scene.",
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The scene with the fitted values. Default: NAME-fitted.json."),
+    ] = None,
+    sled: SledTopicOption = "",
+    displacement: DisplacementOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Fit friction, force fields or film to the displacement in a recording, and write the scene with these values.
+
+    Example: `pallet-twin calibrate bench_bag --scene my_load.json --fit friction:cardboard/wood`.
+    """
+    from recordings.calibrate import calibrate_bag, calibration_lines, write_calibrated
+    from ros_nodes.benching import scene_for
+
+    wanted = scene_for(bag, scene)
+    file = out if out is not None else Path(f"{wanted.name}-fitted.json")
+    if file.exists() and out is None:
+        raise RefusedInput("--out", str(file), "exists: name a file")
+    with output.fitting(quiet=as_json) as on_progress:
+        calibrated = calibrate_bag(
+            bag, wanted, fit=fit or (), sled=sled, displacement=displacement, on_progress=on_progress
+        )
+    write_calibrated(file, calibrated)
+    output.show_lines(
+        calibration_lines(calibrated), {**calibrated.entry(), "scene": str(file)}, as_json=as_json
+    )
+    if not as_json:
+        print(f"scene   {file}")
+
+
+@app.command()
+def compare(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="A recording of a bench, or of the twin.")],
+    scene: SceneOption = None,
+    sled: SledTopicOption = "",
+    displacement: DisplacementOption = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Drive the twin by the accelerometer in a recording, and say how far its load is from the measured one."""
+    from recordings.calibrate import compare_bag
+    from ros_nodes.benching import difference_lines, scene_for
+
+    told = compare_bag(bag, scene_for(bag, scene), sled=sled, displacement=displacement)
+    output.show_lines(difference_lines(told), told, as_json=as_json)
 
 
 @app.command()

@@ -242,6 +242,7 @@ def run_graph(
     pictures: Path | None = None,
     with_view: bool = False,
     split: tuple[int, float] = (0, 0.0),
+    bench: bool = False,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test as a node graph.
@@ -268,9 +269,10 @@ def run_graph(
         scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements
     else:
         scene, why = with_setting(scene)
-    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures, with_view, split).run()
+    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures, with_view, split, bench).run()
     judged = json.loads(result.judgement_json)
-    if estimate is None and with_estimate and scene.packages and result.ended_by is None:
+    # What the machine did is not what a companion would repeat.
+    if estimate is None and with_estimate and scene.packages and result.ended_by is None and not bench:
         companion = Companion(scene)
         try:
             estimate = companion.estimate(worst_by_rule(judged), result.physics.smallest_step_s)

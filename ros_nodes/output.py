@@ -3,7 +3,7 @@
 import json
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -247,6 +247,33 @@ def show_recovery(recovery: "Recovery", *, as_json: bool) -> None:
         print(report_json(json.loads(json.dumps(asdict(recovery), default=str))))
         return
     for line in recovery.lines():
+        print(line)
+
+
+@contextmanager
+def fitting(*, quiet: bool) -> Iterator[Callable[[int, float], None] | None]:
+    """The number of simulations and the best fit so far, on standard error."""
+    if quiet:
+        yield None
+        return
+    with Progress(
+        TextColumn("fitting"), TextColumn("{task.fields[words]}"), TimeElapsedColumn(),
+        console=Console(stderr=True), transient=True,
+    ) as bar:  # fmt: skip
+        task = bar.add_task("fitting", total=None, words="")
+
+        def advance(simulations: int, best_mm: float) -> None:
+            bar.update(task, words=f"{simulations} simulations, {best_mm:.2f} mm rms left at best")
+
+        yield advance
+
+
+def show_lines(lines: Iterable[str], entry: Mapping[str, Any], *, as_json: bool) -> None:
+    """A result as lines, or as JSON."""
+    if as_json:
+        print(report_json(dict(entry)))
+        return
+    for line in lines:
         print(line)
 
 

@@ -114,7 +114,7 @@ class ReplayGraph:
         """Plays to the end; gives the player's account."""
         import rclpy
 
-        with domain_of_its_own(), tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
+        with domain_of_its_own(self._namespace), tempfile.TemporaryDirectory(prefix="pallet-twin-") as folder:
             rclpy.init(signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)
             try:
                 self._connect()

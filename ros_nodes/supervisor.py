@@ -35,6 +35,8 @@ POLL_S = 0.02
 TWIN_NODES = {
     "supervisor",
     "sled_node",
+    "bench_node",
+    "residual_node",
     "physics_node",
     "validator_node",
     "recorder_node",
@@ -113,6 +115,7 @@ class Supervisor:
         guests: readers from outside that each stream must have before the first sample.
         pictures: bag whose pictures the camera shows, or None to draw them.
         with_view: whether a live view is served.
+        bench: whether the machine's accelerometer drives it.
         split: size [MB] and simulated time [s] after which the bag begins a new file; 0: never.
     """
 
@@ -124,6 +127,7 @@ class Supervisor:
     pictures: Path | None = None
     with_view: bool = False
     split: tuple[int, float] = (0, 0.0)
+    bench: bool = False
     _nodes: list[NodeProcess] = field(default_factory=list)
     _states: dict[str, str] = field(default_factory=dict)
     _report: str | None = None
@@ -237,6 +241,7 @@ class Supervisor:
             taken_down |= {topic.name: taken_down.get(topic.name, 0) + 1 for topic in VIEWED}
             yield "viewer_node", {}
         cameras, visions = int(self.scene.camera is not None), int(self._measures)
+        residuals = int(self.bench)
         film = {"wrap/strain": 1 + cameras + self.guests} if self.scene.film is not None else {}
         if self.bag is not None:
             size_mb, after_s = self.split
@@ -254,9 +259,9 @@ class Supervisor:
         physics = _sum(
             taken_down,
             {
-                "packages/poses": 1 + cameras + self.guests,
-                "physics/progress": 3 + cameras,
-                "scene": 2 + cameras + visions,
+                "packages/poses": 1 + cameras + residuals + self.guests,
+                "physics/progress": 3 + cameras + residuals,
+                "scene": 2 + cameras + visions + residuals,
                 **film,
             },
             only=("packages/poses", "physics/progress", "scene", "robot_description", *film),
@@ -291,20 +296,25 @@ class Supervisor:
             },
             only=("/clock", "sled/acceleration", "sled/odometry", "sled/accelerometer"),
         )
-        yield "sled_node", {"pace": self.pace, "readers": readers_text(sled)}
+        if self.bench:
+            yield "residual_node", {}
+            yield "bench_node", {"readers": readers_text(sled)}
+        else:
+            yield "sled_node", {"pace": self.pace, "readers": readers_text(sled)}
 
     def _bring_up(self) -> None:
         """Configures and activates every node; the sled comes last, and with it time."""
         from lifecycle_msgs.msg import Transition
 
-        configured = [node.name for node in self._nodes if node.name != "sled_node"]
+        clock = "bench_node" if self.bench else "sled_node"
+        configured = [node.name for node in self._nodes if node.name != clock]
         for name in configured:
             self._change_state(name, Transition.TRANSITION_CONFIGURE)
         for name in configured:
             self._change_state(name, Transition.TRANSITION_ACTIVATE)
-        self._change_state("sled_node", Transition.TRANSITION_CONFIGURE)
+        self._change_state(clock, Transition.TRANSITION_CONFIGURE)
         self._began = time.monotonic()
-        self._change_state("sled_node", Transition.TRANSITION_ACTIVATE)
+        self._change_state(clock, Transition.TRANSITION_ACTIVATE)
 
     def _change_state(self, name: str, transition: int) -> None:
         from lifecycle_msgs.srv import ChangeState
@@ -476,15 +486,15 @@ def _sum(first: dict[str, int], second: dict[str, int], *, only: tuple[str, ...]
 
 
 @contextmanager
-def domain_of_its_own() -> Iterator[None]:
-    """Keeps other supervisors of this host out of the ROS domain until this one has ended, however it ends.
+def domain_of_its_own(namespace: str = NAMESPACE) -> Iterator[None]:
+    """Keeps other supervisors of this host out of the domain's namespace until this one has ended, however it ends.
 
     Discovery alone finds another twin late on a busy machine, and then both have called the other's nodes.
 
     Raises:
         RefusedInput: another one has it.
     """
-    path = Path(tempfile.gettempdir()) / f"pallet-twin-domain-{quote(_domain(), safe='')}.lock"
+    path = Path(tempfile.gettempdir()) / f"pallet-twin-domain-{quote(_domain() + namespace, safe='')}.lock"
     try:
         file = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except PermissionError:

@@ -9,6 +9,7 @@ a straight level track: the strongest direction of f − f0 is that of the trave
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -25,8 +26,9 @@ LEAST_REST_S = 0.03
 WINDOW_S = 0.02
 """Over this, readings are averaged where the motion's start is looked for, and lines are laid at both ends of a gap."""
 LEVEL_WINDOW_S = 0.2
-LEAST_MOTION_MPS2, LEAST_CROSSING_MPS2 = 0.3, 0.05
-SHORT_GAP_S = 0.005
+LEAST_MOTION_MPS2, LEAST_CROSSING_MPS2, MOST_CROSSING_MPS2 = 0.3, 0.05, 0.9
+SHORT_GAP_S, LONG_INTERVALS = 0.005, 1.5
+"""A single missing reading is a straight line between its neighbours; intervals this many times as long are gaps."""
 COASTING_SHARE = 0.1
 """A speed at the end above this share of the peak's is the sled's, not the sensor's drift."""
 
@@ -89,16 +91,12 @@ def sled_motion(
     noise = _noise(forces)
     first, last = _moving(times, forces, noise, period)
     rest = _rest(times, forces, first, last)
+    bridged_s = _require_no_long_gap(times, first, last)
     inside = slice(first, last + 1)
     moving = forces[inside] - rest.at(times[inside])
-    axis = _main_direction(moving)
-    along = moving @ axis
-    if np.sum(_integral(times[inside], along)) < 0.0:
-        axis, along = -axis, -along
-    off_axis = _off_axis_share(moving, along, axis, noise)
-    longest_gap_s = _require_no_long_gap(times, first, last)
-    knots, along = _bridged(times[inside], along, period)
-    sigma = float(np.sqrt((noise**2) @ axis**2))
+    axis = _main_direction(times[inside], moving)
+    knots, along = _bridged(times[inside], moving @ axis, period)
+    sigma = float(np.sqrt(noise**2 @ axis**2))
     along, end_speed, drift, stands = _brought_to_rest(knots, along, sigma, rest, axis, period)
     start_s = max(float(times[0]), float(knots[0]) - LEAD_S)
     means = _interval_means(knots, along, start_s, samples_hz)
@@ -106,26 +104,13 @@ def sled_motion(
     travel = np.array([x, y, 0.0])
     rotation = _rotation(rest.means[0], axis, travel)
     speed_sigma, travel_sigma = _uncertainty(sigma, period, float(knots[-1] - knots[0]), rest, axis, stands)
-    gaps = np.diff(times)
-    long = gaps > 1.5 * period
-    weighs = float(np.linalg.norm(rest.means[0]))
-    up = np.array([0.0, 0.0, GRAVITY if weighs > 0.5 * GRAVITY else 0.0])
     source = ImuSource(
         start_ns=start_ns + round(start_s * 1.0e9),
-        readings=len(times),
-        rate_hz=1.0 / period,
-        jitter_ms=1000.0 * float(gaps[~long].std()),
-        missing=int(np.sum(np.round(gaps[long] / period) - 1.0)),
-        longest_gap_ms=1000.0 * float(gaps.max()),
-        longest_gap_in_motion_ms=1000.0 * longest_gap_s if longest_gap_s > 1.5 * period else 0.0,
+        **_timing(times, period),
+        longest_gap_in_motion_ms=1000.0 * bridged_s if bridged_s > LONG_INTERVALS * period else 0.0,
         noise_mps2=_triple(noise),
-        gravity_mps2=weighs,
-        bias_mps2=_triple(rest.means[0] - rotation.T @ up),
-        bias_change_mps2=rest.change,
-        rotation=(_triple(rotation[0]), _triple(rotation[1]), _triple(rotation[2])),
-        tilt_deg=float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))),
-        yaw_deg=float(np.degrees(np.arctan2(rotation[1, 0], rotation[0, 0]))),
-        off_axis_share=off_axis,
+        **_mounted(rest, rotation),
+        off_axis_share=_off_axis_share(moving, axis, noise),
         moves_from_s=float(knots[0] - times[0]),
         moves_until_s=float(knots[-1] - times[0]),
         ends="standing" if stands else "coasting",
@@ -135,6 +120,32 @@ def sled_motion(
         travel_sigma_mm=1000.0 * travel_sigma,
     )
     return BenchMotion(means[:, None] * travel, start_s, _level(means, samples_hz), source)
+
+
+def _timing(times: Array, period: float) -> dict[str, Any]:
+    gaps = np.diff(times)
+    long = gaps > LONG_INTERVALS * period
+    return {
+        "readings": len(times),
+        "rate_hz": 1.0 / period,
+        "jitter_ms": 1000.0 * float(gaps[~long].std()),
+        "missing": int(np.sum(np.round(gaps[long] / period) - 1.0)),
+        "longest_gap_ms": 1000.0 * float(gaps.max()),
+    }
+
+
+def _mounted(rest: _Rest, rotation: Array) -> dict[str, Any]:
+    """Gravity, bias and the sensor's place, from the reading at rest."""
+    weighs = float(np.linalg.norm(rest.means[0]))
+    up = np.array([0.0, 0.0, GRAVITY if weighs > 0.5 * GRAVITY else 0.0])
+    return {
+        "gravity_mps2": weighs,
+        "bias_mps2": _triple(rest.means[0] - rotation.T @ up),
+        "bias_change_mps2": rest.change,
+        "rotation": (_triple(rotation[0]), _triple(rotation[1]), _triple(rotation[2])),
+        "tilt_deg": float(np.degrees(np.arccos(np.clip(rotation[2, 2], -1.0, 1.0)))),
+        "yaw_deg": float(np.degrees(np.arctan2(rotation[1, 0], rotation[0, 0]))),
+    }
 
 
 def source_lines(source: ImuSource) -> list[str]:
@@ -203,7 +214,9 @@ def _moving(times: Array, forces: Array, noise: Array, period: float) -> tuple[i
     smooth = (sums[width:] - sums[:-width]) / width
     before, after = np.median(forces[:still], axis=0), np.median(forces[-still:], axis=0)
     spread = float(np.linalg.norm(noise))
-    limit = max(LEAST_CROSSING_MPS2, 3.0 * spread / np.sqrt(width))
+    # A bench that hums is not a sled that moves: twice what the first readings do by themselves.
+    hum = 2.0 * float(np.linalg.norm(smooth[: 2 * still] - before, axis=1).max())
+    limit = max(LEAST_CROSSING_MPS2, 3.0 * spread / np.sqrt(width), min(hum, MOST_CROSSING_MPS2))
     weighs = float(np.linalg.norm(before))
     if weighs > 0.5 and not 9.0 < weighs < 10.6:
         raise RefusedInput(
@@ -243,14 +256,17 @@ def _rest(times: Array, forces: Array, first: int, last: int) -> _Rest:
     return _Rest(middles, means, sigma)
 
 
-def _main_direction(moving: Array) -> Array:
+def _main_direction(times: Array, moving: Array) -> Array:
+    """Unit vector of the strongest acceleration, towards the side that the sled travels to, shape [3]."""
     axis: Array = np.linalg.eigh(moving.T @ moving)[1][:, -1]
-    return axis
+    speeds = _integral(times, moving @ axis)
+    return axis if float(np.sum(speeds[1:] * np.diff(times))) >= 0.0 else -axis
 
 
-def _off_axis_share(moving: Array, along: Array, axis: Array, noise: Array) -> float:
+def _off_axis_share(moving: Array, axis: Array, noise: Array) -> float:
+    along = moving @ axis
     across = moving - along[:, None] * axis
-    beyond = float((across**2).sum(axis=1).mean() - (noise**2).sum() + (noise**2) @ axis**2)
+    beyond = float((across**2).sum(axis=1).mean() - (noise**2).sum() + noise**2 @ axis**2)
     return float(np.sqrt(max(0.0, beyond) / (along**2).mean()))
 
 
@@ -275,7 +291,7 @@ def _bridged(times: Array, along: Array, period: float) -> tuple[Array, Array]:
     the gap, the cubic that continues both.
     """
     knots, values = [times], [along]
-    for left in np.flatnonzero(np.diff(times) > max(SHORT_GAP_S, 1.5 * period)):
+    for left in np.flatnonzero(np.diff(times) > max(SHORT_GAP_S, LONG_INTERVALS * period)):
         near, far = times[left], times[left + 1]
         start, slope_in = _line(times, along, int(left), near - WINDOW_S, near)
         end, slope_out = _line(times, along, int(left) + 1, far, far + WINDOW_S)

@@ -9,7 +9,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from config.scene import Scene
+from config.scene import RecordedSled, Scene
 from sim_core.companion import ErrorEstimate
 from sim_core.integrity import Finding
 from sim_core.judge import EumosJudge, Verdict, corner_name, verdict_of
@@ -228,6 +228,7 @@ def _film_entry(judge: EumosJudge) -> dict[str, Any]:
 def _sled_entry(scene: Scene) -> dict[str, Any]:
     profile = build_profile(scene)
     thin = max(1, len(profile.times) // 2000)
+    source = scene.sled.source if isinstance(scene.sled, RecordedSled) else None
     return {
         "profile": scene.sled.profile,
         "times_s": profile.times[::thin].tolist(),
@@ -236,6 +237,8 @@ def _sled_entry(scene: Scene) -> dict[str, Any]:
         "peak_mps2": profile.peak_mps2,
         "travel_m": float((profile.positions[-1] ** 2).sum() ** 0.5),
         "stop_s": profile.end_s,
+        # What was found in an accelerometer's readings, where they drive it.
+        "source": source.model_dump() if source is not None else None,
     }
 
 
