@@ -31,6 +31,8 @@ WEAK_M = 1.5e-3
 BLUR_PX = 3.0
 JUMP_M, JUMP_MORE_M, MOST_JUMP_M = 0.08, 0.05, 0.35
 """How far a package may be from where its speed foretells it; how much more for each picture without it; the most."""
+NEIGHBOUR_SHARE = 0.45
+"""Of the shorter edge of a face: so far a package may leap, whose neighbours look like it."""
 PICTURES_A_TAG_CHECK = 10
 DISAGREEMENT_M = 0.05
 """Print that is so far from where the tags say is another package's."""
@@ -190,8 +192,12 @@ class PackageFollower:
 
     @property
     def _reach_m(self) -> Array:
-        """How far from where it is foretold a package may be that was last seen some pictures ago [m], shape [n]."""
-        reach: Array = np.minimum(JUMP_M + JUMP_MORE_M * self._missed, MOST_JUMP_M)
+        """How far from where it is foretold a package may be that was last seen some pictures ago [m], shape [n].
+
+        Never as far as a neighbour that is printed alike.
+        """
+        most = np.minimum(MOST_JUMP_M, NEIGHBOUR_SHARE * self._narrow)
+        reach: Array = np.minimum(JUMP_M + JUMP_MORE_M * self._missed, most)
         return reach
 
     def _are_good(self, motions: Motions, is_tagged: Flags, foretold: Array) -> Flags:

@@ -151,6 +151,10 @@ def summaries(rows: Sequence[SightRow]) -> list[SightSummary]:
 
 def _cases(*, quick: bool) -> Iterator[tuple[str, Look, Scene]]:
     """Loads, levels, frictions and fields from a seed: the same loads with markers and without."""
+    for number in range(2 if quick else FILM_SCENES):
+        load, level = FILM_LOADS[number % len(FILM_LOADS)], LEVELS_G[number % 4]
+        scene = _scene(load, level, None).model_copy(update={"camera": Camera(seed=number)})
+        yield f"{load}, {level:g} g", "film", scene
     chance = np.random.default_rng(SEED)
     for number in range(2 if quick else SCENES_A_LOOK):
         load, level = BARE_LOADS[number % len(BARE_LOADS)], LEVELS_G[number % len(LEVELS_G)]
@@ -164,10 +168,6 @@ def _cases(*, quick: bool) -> Iterator[tuple[str, Look, Scene]]:
             )
             told = "" if fields is None else f", T {tension:g}"
             yield f"{load}, {level:g} g, friction {friction:g}{told}", look, scene  # type: ignore[misc]
-    for number in range(2 if quick else FILM_SCENES):
-        load, level = FILM_LOADS[number % len(FILM_LOADS)], LEVELS_G[number % 4]
-        scene = _scene(load, level, None).model_copy(update={"camera": Camera(seed=number)})
-        yield f"{load}, {level:g} g", "film", scene
 
 
 def _scene(name: str, level_g: float, friction: float | None) -> Scene:
