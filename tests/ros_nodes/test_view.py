@@ -17,6 +17,7 @@ from config.errors import RefusedInput
 from ros_nodes.view import view
 from tests.recordings.rrd_rows import moving, rows_of
 from tests.ros_nodes.graph import counts, environment, missing_of, pallet_twin, payloads
+from tests.ros_nodes.sockets import family, listening
 
 SHOW = """
 import sys
@@ -68,31 +69,6 @@ def showing(
     finally:
         process.kill()
         process.wait()
-
-
-def listening(pid: int) -> set[str]:
-    """Addresses that a process and its children listen on, TCP, as the kernel lists them."""
-    inodes = set()
-    for number in family(pid):
-        for entry in Path(f"/proc/{number}/fd").iterdir():
-            try:
-                target = str(entry.readlink())
-            except OSError:
-                continue
-            if target.startswith("socket:["):
-                inodes.add(target[8:-1])
-    found = set()
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            words = line.split()
-            if words[3] == "0A" and words[9] in inodes:
-                found.add(words[1].split(":")[0])
-    return found
-
-
-def family(pid: int) -> list[int]:
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    return [pid, *(number for child in children for number in family(int(child)))]
 
 
 def test_command_line_does_not_load_rerun_and_says_when_it_lacks() -> None:
