@@ -14,8 +14,6 @@ from config.part import Part
 from config.wrap import FilmProperties, Wrap, default_spacing_m, film_properties, film_span
 
 MAXIMUM_PACKAGES = 2000
-TAKEN_IDS = ("pallet", "film")
-"""What reports and frames call the pallet and the wrap."""
 DEFAULT_TIME_STEP_S = 1.0 / 480.0
 DEFAULT_ITERATIONS, WRAPPED_ITERATIONS = 40, 100
 """Where a film presses packages on each other Bullet comes to rest with 100 iterations, and never with 40."""
@@ -43,10 +41,8 @@ class PackagesLoad(Part):
     def _ids_are_unique(self) -> Self:
         seen: set[str] = set()
         for package in self.packages:
-            if package.id in seen or package.id in TAKEN_IDS:
-                raise ValueError(
-                    f"package id '{package.id}' must be unique, and 'pallet' and 'film' are taken"
-                )
+            if package.id in seen or package.id == "pallet":
+                raise ValueError(f"package id '{package.id}' must be unique, and 'pallet' is taken")
             seen.add(package.id)
         return self
 

@@ -25,6 +25,7 @@ import rerun as rr
 from config.errors import RefusedInput
 
 APPLICATION = "pallet-twin"
+CLOSE_LIMIT_S = 10.0
 LOOPBACK = "127.0.0.1"
 MEMORY_LIMIT = "1GiB"
 """What the server keeps for viewers that come late; the oldest goes first, what is static never."""
@@ -105,7 +106,12 @@ class DataServer:
         return recording
 
     def close(self) -> None:
-        """Sends what is on its way, finishes files, and ends the server."""
+        """Sends what is on its way, finishes files, and ends the server; what takes longer than a while is left."""
+        ending = threading.Thread(target=self._disconnect, daemon=True)
+        ending.start()
+        ending.join(CLOSE_LIMIT_S)
+
+    def _disconnect(self) -> None:
         for recording in self._recordings:
             recording.disconnect()
         self._host.disconnect()

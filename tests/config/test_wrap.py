@@ -92,7 +92,8 @@ def test_material_and_turns_are_required() -> None:
 
 
 def test_a_scene_without_a_wrap_has_none_and_says_so() -> None:
-    bare = [name for name in shipped_scenes() if "wrap" not in name.split("_")]
+    # The camera looks at a wrapped load.
+    bare = [name for name in shipped_scenes() if "wrap" not in name.split("_") and name != "eur_camera"]
     assert len(bare) > 10
     for name in bare:
         shipped = read_scene(find_scene(name))

@@ -64,11 +64,11 @@ def showing(
         line = next((line for line in process.stdout if "view at http" in line), "")
         yield process.pid, line.split()[-1]
         process.send_signal(signal.SIGTERM if not bag else signal.SIGINT)
-        rest = process.communicate(timeout=20)[0]
+        rest = process.communicate(timeout=60)[0]
         assert process.returncode == (0 if not bag else -signal.SIGINT), rest
     finally:
         process.kill()
-        process.wait()
+        process.communicate()
 
 
 def test_command_line_does_not_load_rerun_and_says_when_it_lacks() -> None:
