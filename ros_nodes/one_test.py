@@ -285,6 +285,8 @@ def run_graph(
     )  # fmt: skip
     if result.notes:
         report["numerics"]["pace"] = result.notes
+    if result.residual_json is not None:
+        report["residual"] = json.loads(result.residual_json)
     if result.measured_json is not None:
         report["vision"] = json.loads(result.measured_json)
     _write(report, scene, where, _recorded_pictures(scene, where.bag), "camera_node")

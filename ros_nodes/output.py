@@ -148,6 +148,12 @@ def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
     else:
         show_rules(outcome.report)
         _show_numerics(outcome.report["numerics"])
+        if outcome.report.get("residual", {}).get("packages"):
+            told = outcome.report["residual"]
+            print(
+                f"machine less twin: {told['rms_mm']:.2f} mm rms over {told['points']} points, at most"
+                f" {told['largest_mm']:.1f} mm, {told['package']} at {told['largest_at_s']:.2f} s"
+            )
         if "cross_check" in outcome.report:
             _show_cross_check(outcome.report["cross_check"])
         for name, path in paths.items():

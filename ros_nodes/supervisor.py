@@ -44,6 +44,7 @@ TWIN_NODES = {
     "vision_node",
 }
 DISCOVERY_S = 0.8
+RESIDUAL_WAIT_S = 1.0
 
 
 @dataclass
@@ -82,6 +83,7 @@ class GraphResult:
         wall_s: wall time from the first sample to the report [s].
         notes: what nodes said about falling behind or missing messages, or an empty text.
         measured_json: what the pictures say, where the scene has them measured.
+        residual_json: what the machine's measured displacement differs by, where it drives and something measures.
     """
 
     judgement_json: str
@@ -90,6 +92,7 @@ class GraphResult:
     wall_s: float
     notes: str
     measured_json: str | None = None
+    residual_json: str | None = None
 
 
 def configure_middleware(discovery: Literal["localhost", "subnet"]) -> None:
@@ -134,6 +137,7 @@ class Supervisor:
     _final: Any = None
     _has_pictures: bool = False
     _measured: str | None = None
+    _residual: str | None = None
     _notes: str = ""
 
     @property
@@ -157,6 +161,7 @@ class Supervisor:
                 self._start(Path(folder))
                 self._bring_up()
                 self._follow()
+                self._wait_for_the_machine()
                 wall_s = time.monotonic() - self._began
                 self._end(in_order=True)
                 return self._result(wall_s)
@@ -178,6 +183,7 @@ class Supervisor:
             EUMOS_REPORT,
             EUMOS_STATUS,
             PHYSICS_PROGRESS,
+            RESIDUAL_REPORT,
             VISION_REPORT,
             message_class,
             to_rclpy,
@@ -192,6 +198,7 @@ class Supervisor:
             (EUMOS_REPORT, self._take_report),
             *([(CAMERA_PROGRESS, self._take_camera)] if self.scene.camera is not None else []),
             *([(VISION_REPORT, self._take_measured)] if self._measures else []),
+            *([(RESIDUAL_REPORT, self._take_residual)] if self.bench else []),
         ):
             self._node.create_subscription(
                 message_class(topic.type_name), topic.name, callback, to_rclpy(topic.qos)
@@ -234,6 +241,9 @@ class Supervisor:
         Each publisher waits for as many readers as the graph has for its topic.
         """
         recorded = [topic.name for topic in recorded_topics(self.scene)] if self.bag is not None else []
+        recorded += (
+            ["residual/displacement", "residual/report"] if self.bench and self.bag is not None else []
+        )
         taken_down = dict.fromkeys(recorded, 1)
         if self.with_view:
             from ros_nodes.viewer_node import VIEWED
@@ -297,7 +307,8 @@ class Supervisor:
             only=("/clock", "sled/acceleration", "sled/odometry", "sled/accelerometer"),
         )
         if self.bench:
-            yield "residual_node", {}
+            said = _sum(taken_down, {"residual/report": 1}, only=("residual/displacement", "residual/report"))
+            yield "residual_node", {"readers": readers_text(said)}
             yield "bench_node", {"readers": readers_text(sled)}
         else:
             yield "sled_node", {"pace": self.pace, "readers": readers_text(sled)}
@@ -356,6 +367,12 @@ class Supervisor:
                 if self._report and self._final:
                     silent = "vision_node" if self._has_pictures else "camera_node"
                 raise NodeDied(silent, f"no progress for {limit_s:.0f} s")
+
+    def _wait_for_the_machine(self) -> None:
+        """What is measured last comes after the twin's end; a machine that measures nothing says nothing."""
+        until = time.monotonic() + RESIDUAL_WAIT_S
+        while self.bench and time.monotonic() < until:
+            self._executor.spin_once(timeout_sec=POLL_S)
 
     def _is_over(self) -> bool:
         """Whether the report is there, and every picture taken and measured that the scene asks for."""
@@ -451,6 +468,9 @@ class Supervisor:
     def _take_measured(self, message: Any) -> None:
         self._measured = message.data
 
+    def _take_residual(self, message: Any) -> None:
+        self._residual = message.data
+
     def _take_status(self, message: Any) -> None:
         from msgs_adapters.convert import rule_states
 
@@ -472,6 +492,7 @@ class Supervisor:
             wall_s=wall_s,
             notes=self._notes,
             measured_json=self._measured,
+            residual_json=self._residual,
         )
 
 
