@@ -18,8 +18,7 @@ from msgs_adapters.topics import (
     SLED_ODOMETRY,
     Topic,
 )
-from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
-from ros_nodes.readers import readers_wanted
+from ros_nodes.node_process import SUCCESS, LifecycleState, TwinNode, run_node
 from sim_core.bench_live import LiveSample, LiveSled
 from sim_core.frames import SledSample
 from sim_core.sled import stamp_ns
@@ -47,9 +46,7 @@ class BenchNode(TwinNode):
             "window_samples", 96, "samples sent ahead of the physics once the sled stands", from_value=1,
             to_value=4000,
         )  # fmt: skip
-        self._readers = self.declare(
-            "readers", "", "matched readers to wait for, topic=count, comma-separated"
-        )
+        self.await_readers()
         self._scene: Scene | None = None
         self._sled: LiveSled | None = None
         self._is_active = self._finished = False
@@ -79,12 +76,9 @@ class BenchNode(TwinNode):
 
     def on_activate(self, state: LifecycleState) -> Any:
         """Waits for its readers; from here on the machine may move."""
-        missing = self.wait_for_readers(readers_wanted(self._readers))
-        if missing is not None:
-            self.get_logger().error(f"no reader for {missing}")
-            return FAILURE
-        self._is_active = True
-        return super().on_activate(state)
+        result = super().on_activate(state)
+        self._is_active = result == SUCCESS
+        return result
 
     def on_end(self) -> None:
         """Sees that every reader has everything."""

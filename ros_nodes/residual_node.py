@@ -20,8 +20,7 @@ from msgs_adapters.topics import (
     VISION_DISPLACEMENT,
     Topic,
 )
-from ros_nodes.node_process import FAILURE, LifecycleState, TwinNode, run_node
-from ros_nodes.readers import readers_wanted
+from ros_nodes.node_process import TwinNode, run_node
 from sim_core.report import report_json
 from sim_core.residual import Difference, DisplacementResidual, near_sides
 
@@ -41,9 +40,7 @@ class ResidualNode(TwinNode):
 
     def __init__(self) -> None:
         super().__init__("residual_node")
-        self._readers = self.declare(
-            "readers", "", "matched readers to wait for, topic=count, comma-separated"
-        )
+        self.await_readers()
         self._measured = self.declare(
             "measured_topic",
             VISION_DISPLACEMENT.absolute_name(MACHINE_NAMESPACE),
@@ -71,14 +68,6 @@ class ResidualNode(TwinNode):
         measured = Topic(self._measured, VISION_DISPLACEMENT.type_name, VISION_DISPLACEMENT.qos)
         self.listen(measured, self._take_cloud, raw=True)
         return True
-
-    def on_activate(self, state: LifecycleState) -> Any:
-        """Waits for its readers."""
-        missing = self.wait_for_readers(readers_wanted(self._readers))
-        if missing is not None:
-            self.get_logger().error(f"no reader for {missing}")
-            return FAILURE
-        return super().on_activate(state)
 
     def on_end(self) -> None:
         """Sees that every reader has the report."""
