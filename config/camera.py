@@ -50,6 +50,12 @@ class Camera(Part):
     rate_hz: int = Field(
         default=30, ge=1, le=8000, description="pictures a second; divides sampling.poses_hz"
     )
+    pictures: int | None = Field(
+        default=None,
+        ge=2,
+        le=100_000,
+        description="so many, evenly from the first frame to 0.25 s after the stop, whatever rate_hz says",
+    )
     distance_m: float = Field(
         default=4.0,
         ge=0.5,

@@ -325,7 +325,7 @@ def regular_rates_hz(scene: Scene) -> dict[Topic, float]:
         rates[SLED_ACCELEROMETER] = scene.accelerometer.rate_hz
     if scene.film is not None:
         rates[WRAP_STRAIN] = scene.sampling.poses_hz / scene.sampling.frames_a_film_frame
-    if scene.camera is not None:
+    if scene.camera is not None and scene.camera.pictures is None:
         rates |= dict.fromkeys((CAMERA_COMPRESSED, CAMERA_IMAGE, CAMERA_INFO), float(scene.camera.rate_hz))
     return rates
 

@@ -92,10 +92,10 @@ def measure_bag(
                     yield Picture(picture.index, picture.stamp_ns, pixels=pixels)
 
         if video is not None:
+            from sim_core.camera.moments import PictureMoments
             from sim_core.camera.video import write_video
 
-            assert scene.camera is not None
-            write_video(measured(), video, rate_hz=scene.camera.rate_hz)
+            write_video(measured(), video, rate_hz=PictureMoments(scene).rate_hz)
         else:
             for _ in measured():
                 pass

@@ -160,9 +160,9 @@ class CameraNode(TwinNode):
         progress = progress_of(message)
         if not progress.finished or self._wanted is not None or self._scene is None:
             return
-        assert self._scene.camera is not None
-        every = self._scene.sampling.poses_hz // self._scene.camera.rate_hz
-        self._wanted = -(-progress.frames // every)
+        from sim_core.camera.moments import PictureMoments
+
+        self._wanted = PictureMoments(self._scene).count(progress.frames)
         self._report_progress()
 
     def _draw_one(self) -> None:

@@ -314,6 +314,7 @@ def _write(
     shown = None
     if pictures and scene.camera is not None:
         from sim_core.camera.key_pictures import key_pictures
+        from sim_core.camera.moments import PictureMoments
         from sim_core.camera.view import camera_entry
         from sim_core.report_camera import ReportPictures
 
@@ -322,7 +323,7 @@ def _write(
         if where.video is not None:
             from sim_core.camera.video import write_video
 
-            write_video(pictures, where.video, rate_hz=scene.camera.rate_hz)
+            write_video(pictures, where.video, rate_hz=PictureMoments(scene).rate_hz)
             video = where.video.read_bytes()
         shown = ReportPictures(key_pictures(pictures, report["rules"]), video)
     write_report(report, where.report)

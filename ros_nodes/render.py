@@ -46,13 +46,14 @@ def render_bag(
     from recordings.bag_reader import BagReader
     from recordings.draw_bag import draw_bag, scene_with_camera
     from recordings.judge_bag import scene_of_bag, topic_in_bag
+    from sim_core.camera.moments import PictureMoments
     from sim_core.camera.video import write_video
 
     with BagReader(path) as reader:
         scene = scene_with_camera(scene_of_bag(reader), overrides)
         frames = reader.topics[topic_in_bag(reader, PACKAGES_POSES.name)].message_count
-    assert scene.camera is not None
-    total = -(-frames * scene.camera.rate_hz // scene.sampling.poses_hz)
+    moments = PictureMoments(scene)
+    total = moments.count(frames)
     folder = claim_folder(out, f"{scene.name}-render")
 
     def tell(count: int, _time_s: float) -> None:
@@ -61,5 +62,5 @@ def render_bag(
 
     drawn = draw_bag(path, folder / "bag", overrides, on_picture=tell)
     video = folder / "video.mp4"
-    write_video(drawn.pictures, video, rate_hz=scene.camera.rate_hz)
+    write_video(drawn.pictures, video, rate_hz=moments.rate_hz)
     return Rendered(len(drawn.pictures), drawn.drawn_by, drawn.bag, video)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from config.scene import Scene
+from sim_core.camera.moments import PictureMoments
 from sim_core.frames import Array, FilmFrame, PoseFrame
 
 
@@ -59,10 +60,9 @@ class ShotsInOrder:
     """
 
     def __init__(self, scene: Scene) -> None:
-        assert scene.camera is not None
-        self._frames_a_picture = scene.sampling.poses_hz // scene.camera.rate_hz
+        self._moments = PictureMoments(scene)
         self._motions: dict[int, tuple[Array, Array]] = {}
-        self._waiting: deque[tuple[PoseFrame, PoseFrame, FilmFrame | None]] = deque()
+        self._waiting: deque[tuple[int, PoseFrame, PoseFrame, FilmFrame | None]] = deque()
         self._earlier: PoseFrame | None = None
         self._film: FilmFrame | None = None
 
@@ -74,17 +74,18 @@ class ShotsInOrder:
         """Takes the next pose frame, with the film where there is one of the same number."""
         earlier, self._earlier = self._earlier, frame
         self._film = film if film is not None else self._film
-        if frame.index % self._frames_a_picture == 0:
-            self._waiting.append((frame, earlier if earlier is not None else frame, self._film))
+        number = self._moments.number(frame.index)
+        if number is not None:
+            self._waiting.append((number, frame, earlier if earlier is not None else frame, self._film))
 
     def ready(self) -> Iterator[Shot]:
         """Gives out every shot of which all is known, in order."""
-        while self._waiting and self._waiting[0][0].stamp_ns in self._motions:
-            frame, before, film = self._waiting.popleft()
+        while self._waiting and self._waiting[0][1].stamp_ns in self._motions:
+            number, frame, before, film = self._waiting.popleft()
             position, velocity = self._motions[frame.stamp_ns]
             self._motions = {at: motion for at, motion in self._motions.items() if at > frame.stamp_ns}
             yield Shot(
-                index=frame.index // self._frames_a_picture,
+                index=number,
                 stamp_ns=frame.stamp_ns,
                 sled=position,
                 velocity=velocity,

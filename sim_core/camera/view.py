@@ -19,6 +19,7 @@ from config.camera import Camera
 from config.errors import RefusedInput
 from config.scene import Scene
 from sim_core.camera.layout import BOARD_BOTTOM_M, BOARD_OVERHANG_M, side_of
+from sim_core.camera.moments import PictureMoments
 from sim_core.frames import Array
 
 MARGIN = 1.04
@@ -168,7 +169,7 @@ def camera_entry(scene: Scene) -> dict[str, object]:
     return {
         "width_px": view.width,
         "height_px": view.height,
-        "rate_hz": camera.rate_hz,
+        "rate_hz": PictureMoments(scene).rate_hz,
         "focal_length_mm": focal_px * camera.sensor_width_mm / camera.width_px,
         "position_m": view.position.tolist(),
         "distance_m": distance,

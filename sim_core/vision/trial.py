@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from config.errors import RefusedInput
 from config.scene import Scene
 from sim_core.camera.layout import facing_packages, near_face, side_of
+from sim_core.camera.moments import PictureMoments
 from sim_core.camera.source import Picture
 from sim_core.camera.taker import PictureTaker
 from sim_core.frames import AccelerometerSample, Array, FilmFrame, PoseFrame, RuleState, SledSample
@@ -138,12 +139,11 @@ class _Measuring:
     __test__ = False
 
     def __init__(self, scene: Scene) -> None:
-        assert scene.camera is not None
         self.measurer: DisplacementMeasurer | None = None
         self.frames: dict[int, PoseFrame] = {}
         self.stamps: list[int] = []
         self.wall_s: list[float] = []
-        self._frames_a_picture = scene.sampling.poses_hz // scene.camera.rate_hz
+        self._moments = PictureMoments(scene)
 
     def take(self, picture: Picture) -> None:
         """A picture of the camera."""
@@ -162,7 +162,7 @@ class _Measuring:
 
     def on_frame(self, frame: PoseFrame) -> None:
         """Keeps the poses that a picture is taken of."""
-        if frame.index % self._frames_a_picture == 0:
+        if self._moments.number(frame.index) is not None:
             self.frames[frame.stamp_ns] = frame
 
     def on_film(self, frame: FilmFrame) -> None:
