@@ -69,11 +69,20 @@ class Camera(Part):
         default=None,
         description="point in frame world in the middle of the picture; absent: the middle of the view",
     )
+    position_offset_m: Point3 = Field(
+        default=(0.0, 0.0, 0.0), description="added to the place of the lens, in frame world [m]"
+    )
+    aim_offset_m: Point3 = Field(
+        default=(0.0, 0.0, 0.0), description="added to the point that is aimed at, in frame world [m]"
+    )
     focal_length_mm: float | None = Field(
         default=None,
         gt=0.0,
         le=2000.0,
         description="absent: load and sled are in the picture over the whole travel",
+    )
+    zoom: float = Field(
+        default=1.0, gt=0.0, le=20.0, description="focal length, given or chosen, times so much"
     )
     sensor_width_mm: float = Field(
         default=20.0, gt=0.0, le=100.0, description="width of the picture on the sensor"

@@ -2,10 +2,10 @@
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pydantic import ValidationError
 
@@ -13,6 +13,9 @@ from config.errors import RefusedInput
 from config.materials import material_library
 from config.package import Package
 from config.scene import CustomPallet, FileLoad, FilePallet, PackagesLoad, PatternSource, Scene
+
+if TYPE_CHECKING:
+    from config.readers import PatternFile
 
 MAXIMUM_SCENE_BYTES = 16 * 2**20
 _UNION_TAGS = {"packages", "file", "epal1", "custom", "eumos", "table", "recorded"}
@@ -58,7 +61,7 @@ def read_scene(path: Path, overrides: Sequence[str] = ()) -> Scene:
     """
     raw = _read_raw(path)
     for override in overrides:
-        _apply_override(raw, override)
+        apply_override(raw, override)
     return resolve_scene(validate_scene(raw), path.parent)
 
 
@@ -70,7 +73,7 @@ def overridden(scene: Scene, overrides: Sequence[str]) -> Scene:
     """
     raw = json.loads(scene.to_json())
     for override in overrides:
-        _apply_override(raw, override)
+        apply_override(raw, override)
     return validate_scene(raw)
 
 
@@ -83,7 +86,7 @@ def validate_scene(raw: object) -> Scene:
     try:
         return Scene.model_validate(raw)
     except ValidationError as error:
-        raise _refusal(error) from None
+        raise refusal(error) from None
 
 
 def scene_from_json(text: str) -> Scene:
@@ -95,18 +98,19 @@ def scene_from_json(text: str) -> Scene:
     return validate_scene(_parse_json(text, "scene"))
 
 
-def resolve_scene(scene: Scene, base: Path) -> Scene:
+def resolve_scene(scene: Scene, base: Path, *, read: "Callable[[Path], PatternFile] | None" = None) -> Scene:
     """Fetches load and pallet from the palletising file, so that the scene stands on its own.
 
     Args:
         scene: a valid scene.
         base: folder that relative paths start from.
+        read: reads a palletising file; by default the format's own reader.
 
     Raises:
         RefusedInput: the file, the pallet number, a layer or a surface is not to be had.
     """
     if isinstance(scene.load, FileLoad):
-        scene = _resolve_pattern(scene, scene.load, base)
+        scene = _resolve_pattern(scene, scene.load, base, read)
     elif isinstance(scene.pallet, FilePallet):
         raise RefusedInput(
             "pallet.kind", "file", "needs load.file, a palletising file to take the pallet from"
@@ -142,29 +146,51 @@ def friction_table(scene: Scene) -> dict[frozenset[str], float]:
 
 
 def _read_raw(path: Path) -> dict[str, Any]:
+    # A palletising file may be larger; its own reader sets its limit.
+    if path.suffix.lower() == ".xml" and path.is_file() and path.stat().st_size > MAXIMUM_SCENE_BYTES:
+        return _scene_around(path)
+    content = _read_bytes(path, "scene")
+    if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
+        return _scene_around(path)
+    raw = _json_object(content, path, "scene", "UTF-8 JSON, or a palletising file")
+    if "productDimensions" in raw or "layerTypes" in raw:
+        return _scene_around(path)
+    return raw
+
+
+def read_json(path: Path, source: str) -> dict[str, Any]:
+    """The JSON object in a file; a key that stands twice, or a number that is none, is refused.
+
+    Args:
+        path: the file.
+        source: what a refusal names.
+
+    Raises:
+        RefusedInput: the file cannot be read, or holds something else.
+    """
+    return _json_object(_read_bytes(path, source), path, source, "UTF-8 JSON")
+
+
+def _read_bytes(path: Path, source: str) -> bytes:
     try:
         size = path.stat().st_size
         if not path.is_file():
-            raise RefusedInput("scene", str(path), "must be a file")
+            raise RefusedInput(source, str(path), "must be a file")
         if size > MAXIMUM_SCENE_BYTES:
-            # A palletising file may be larger; its own reader sets its limit.
-            if path.suffix.lower() == ".xml":
-                return _scene_around(path)
-            raise RefusedInput("scene", f"{path} of {size} bytes", f"at most {MAXIMUM_SCENE_BYTES} bytes")
-        content = path.read_bytes()
+            raise RefusedInput(source, f"{path} of {size} bytes", f"at most {MAXIMUM_SCENE_BYTES} bytes")
+        return path.read_bytes()
     except OSError as error:
-        raise RefusedInput("scene", str(path), error.strerror or "cannot be read") from None
-    if content.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<"):
-        return _scene_around(path)
+        raise RefusedInput(source, str(path), error.strerror or "cannot be read") from None
+
+
+def _json_object(content: bytes, path: Path, source: str, wanted: str) -> dict[str, Any]:
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError:
-        raise RefusedInput("scene", str(path), "must be UTF-8 JSON, or a palletising file") from None
+        raise RefusedInput(source, str(path), f"must be {wanted}") from None
     raw = _parse_json(text, str(path))
     if not isinstance(raw, dict):
-        raise RefusedInput("scene", type(raw).__name__, "must be a JSON object")
-    if "productDimensions" in raw or "layerTypes" in raw:
-        return _scene_around(path)
+        raise RefusedInput(source, type(raw).__name__, "must be a JSON object")
     return raw
 
 
@@ -204,7 +230,12 @@ def _parse_json(text: str, source: str) -> Any:
         raise RefusedInput(source, type(error).__name__, f"is not JSON that can be read: {error}") from None
 
 
-def _apply_override(raw: dict[str, Any], override: str) -> None:
+def apply_override(raw: dict[str, Any], override: str) -> None:
+    """Puts a ``key=value`` text into raw JSON; the value is JSON where it can be, else text.
+
+    Raises:
+        RefusedInput: it is no such text, or its key leads through a value.
+    """
     key, equals, text = override.partition("=")
     if not equals or not key:
         raise RefusedInput("--set", override, "must be KEY=VALUE, such as sled.level_g=0.6")
@@ -214,34 +245,47 @@ def _apply_override(raw: dict[str, Any], override: str) -> None:
         value = text
     if isinstance(value, float) and not math.isfinite(value):
         raise RefusedInput(key, text, "must be a finite number")
+    set_value(raw, key, value, source="--set")
+
+
+def set_value(raw: dict[str, Any], key: str, value: Any, *, source: str) -> None:
+    """Puts a value under a dotted key into raw JSON, and makes the parts on the way to it.
+
+    Raises:
+        RefusedInput: the key leads through a value, or beyond the end of a list; named by ``source``.
+    """
     *parents, last = key.split(".")
     if parents[:1] == ["pallet"] and "pallet" not in raw:
         raw["pallet"] = {"kind": "epal1"}
     node: Any = raw
     for depth, part in enumerate(parents):
         if isinstance(node, list):
-            node = node[_list_index(node, part, key)]
+            node = node[_list_index(node, part, key, source)]
         else:
             if node.get(part) is None:
                 node[part] = {}
             node = node[part]
         if not isinstance(node, (dict, list)):
-            raise RefusedInput(
-                "--set", override, f"{'.'.join(parents[: depth + 1])} holds a value, not a part"
-            )
+            raise RefusedInput(source, key, f"{'.'.join(parents[: depth + 1])} holds a value, not a part")
     if isinstance(node, list):
-        node[_list_index(node, last, key)] = value
+        node[_list_index(node, last, key, source)] = value
     else:
         node[last] = value
 
 
-def _list_index(items: list[Any], part: str, key: str) -> int:
+def _list_index(items: list[Any], part: str, key: str, source: str) -> int:
     if not part.isdecimal() or int(part) >= len(items):
-        raise RefusedInput("--set", key, f"'{part}' must be a number from 0 to {len(items) - 1}")
+        raise RefusedInput(source, key, f"'{part}' must be a number from 0 to {len(items) - 1}")
     return int(part)
 
 
-def _refusal(error: ValidationError) -> RefusedInput:
+def refusal(error: ValidationError, source: str = "scene") -> RefusedInput:
+    """The first of a model's complaints in one line, by field, value and limit.
+
+    Args:
+        error: what the model said.
+        source: what is named where the complaint has no field.
+    """
     first, count = error.errors()[0], error.error_count()
     place = [str(part) for part in first["loc"]]
     field = ".".join(
@@ -268,13 +312,15 @@ def _refusal(error: ValidationError) -> RefusedInput:
     shown = f"{{{len(value)} keys}}" if isinstance(value, dict) else value
     if first["type"] == "missing":
         shown = "missing"
-    return RefusedInput(field or "scene", shown, limit)
+    return RefusedInput(field or source, shown, limit)
 
 
-def _resolve_pattern(scene: Scene, load: FileLoad, base: Path) -> Scene:
+def _resolve_pattern(
+    scene: Scene, load: FileLoad, base: Path, read: "Callable[[Path], PatternFile] | None"
+) -> Scene:
     from config.readers import choose_pallet, read_pattern, vary_layers
 
-    file = read_pattern(base / load.file)
+    file = (read or read_pattern)(base / load.file)
     pattern = choose_pallet(file, load.pallet_number)
     pattern = vary_layers(
         pattern, layers=load.layers, rotate_layers=load.rotate_layers, mirror_layers=load.mirror_layers

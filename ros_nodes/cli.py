@@ -10,6 +10,8 @@ import typer
 
 from config.errors import PalletTwinError, RefusedInput
 from ros_nodes import output
+from ros_nodes.campaign import campaign, verify
+from ros_nodes.rate import rate
 
 app = typer.Typer(
     name="pallet-twin",
@@ -494,20 +496,46 @@ def render(
 @app.command()
 def sight(
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Folder for the table; resumed if it exists.")
+        Path, typer.Option(metavar="DIR", help="Folder for table and page; resumed if it exists.")
     ] = Path("runs/sight"),
-    quick: Annotated[bool, typer.Option("--quick", help="Two loads a look, about two minutes.")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="Two loads a look, a few minutes.")] = False,
+    no_cost: Annotated[bool, typer.Option("--no-cost", help="Do not time the drawing of pictures.")] = False,
+    only_cost: Annotated[
+        bool,
+        typer.Option("--only-cost", help="Only time it, a minute; the page has the tests that DIR holds."),
+    ] = False,
 ) -> None:
     """Draw and measure many loads, with markers, without and behind film, and hold the measurement against the poses.
 
-    Says how far off it is, how often its uncertainty covers that, and whether its verdict is the judge's.
-    """
-    from sim_core.vision.sweep import run_sight
+    Says how far off it is, how often its uncertainty covers that, whether its verdict is the judge's, and what a
+    picture costs: with film and shadows and without, at three sizes. DIR/sight.html shows it all. Tests that DIR
+    holds are not run again; the cost is measured anew each time, and needs a quiet machine.
 
-    with output.counter("measured from pictures", quiet=False) as count:
-        _, told = run_sight(out, quick=quick, on_progress=count)
-    output.show_sight(told)
-    print(f"table   {out / 'sight.csv'}")
+    Examples: `pallet-twin sight --quick --out /tmp/sight`, `pallet-twin sight --only-cost`.
+    """
+    from sim_core.camera.cost import measure_cost, write_cost
+    from sim_core.vision.sight_page import write_sight_page
+    from sim_core.vision.sweep import rows_on_disk, run_sight, summaries
+
+    if no_cost and only_cost:
+        raise RefusedInput("--only-cost", "--no-cost", "one of the two at most")
+    if only_cost:
+        out.mkdir(parents=True, exist_ok=True)
+        rows = rows_on_disk(out)
+    else:
+        with output.counter("measured from pictures", quiet=False) as count:
+            rows, _ = run_sight(out, quick=quick, on_progress=count)
+        output.show_sight(summaries(rows))
+    cost = None
+    if not no_cost:
+        with output.counter("cost of a picture", quiet=False) as count:
+            cost = measure_cost(on_progress=count)
+        write_cost(cost, out / "sight_cost.json")
+        output.show_picture_cost(cost)
+    page = write_sight_page(out, rows, cost)
+    print(f"page    {page}")
+    if not only_cost:
+        print(f"table   {out / 'sight.csv'}")
 
 
 @app.command()
@@ -532,6 +560,9 @@ def sheet(
     with output.counter("contact sheet", quiet=False) as count:
         write_sheet(scenes or shipped_scenes(), out, set_ or (), width_px=width, on_row=count)
     print(f"sheet   {out}")
+
+
+app.command()(rate)
 
 
 @app.command()
@@ -645,6 +676,10 @@ def scenes() -> None:
     for name in shipped_scenes():
         raw = json.loads(find_scene(name).read_text(encoding="utf-8"))
         print(f"{name:22} {raw.get('description', '')}")
+
+
+app.command()(campaign)
+app.command()(verify)
 
 
 @app.callback(invoke_without_command=True)

@@ -4,7 +4,6 @@ import itertools
 import json
 import shutil
 from collections.abc import Callable, Sequence
-from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -12,17 +11,14 @@ from typing import TYPE_CHECKING, Literal
 
 from config.errors import EndedByMonitor, RefusedInput
 from config.scene import Scene
+from recordings.recorded_test import recorded_test
 from sim_core.companion import Companion, CrossCheck, ErrorEstimate
 from sim_core.integrity import require_integrity
-from sim_core.report import Report, full_report, judgement, report_json, worst_by_rule, write_report
-from sim_core.run import TestObserver, TestResult, run_test
+from sim_core.report import Report, full_report, worst_by_rule, write_report
 from sim_core.tolerance import run_to_tolerance
 from sim_core.work_precision import with_setting
 
 if TYPE_CHECKING:
-    from msgs_adapters.publications import Publication
-    from recordings.live_measurement import LiveMeasurement
-    from recordings.test_bag import TestBag
     from sim_core.camera.source import Picture
 
 RESULT_NAMES = {
@@ -95,23 +91,6 @@ def make_folder(
     return TestFolder(folder, folder / "report.json", page, where if with_bag else None, video)
 
 
-@dataclass(frozen=True)
-class _Attempt:
-    """One run in this process with its judgement."""
-
-    result: TestResult
-    judged: Report
-    seen: "_Seen | None"
-
-    @property
-    def smallest_step_s(self) -> float:
-        return self.result.physics.smallest_step_s
-
-    @property
-    def is_complete(self) -> bool:
-        return self.result.ended_by is None
-
-
 def run_headless(
     scene: Scene,
     where: TestFolder,
@@ -128,11 +107,11 @@ def run_headless(
     other = CrossCheck(with_setting(scene)[0]) if cross_check and scene.packages else None
     # Pictures cost more than physics: none are taken of attempts that only look for the setting.
     is_planned = scene.camera is not None and scene.solver.tolerance_mm is not None
-    attempt = partial(_attempt, bag=where.bag, on_progress=on_progress)
+    attempt = partial(recorded_test, bag=where.bag, on_progress=on_progress)
     try:
         refined = run_to_tolerance(
             scene,
-            partial(_attempt, bag=None, with_camera=False, on_progress=on_progress)
+            partial(recorded_test, bag=None, with_camera=False, on_progress=on_progress)
             if is_planned
             else attempt,
             with_estimate=with_estimate,
@@ -153,82 +132,10 @@ def run_headless(
     seen = last.seen
     if seen is not None:
         report |= {"vision": seen.measured} if seen.measured is not None else {}
-        _write(report, refined.scene, where, seen.pictures, seen.taker.source.described)
+        _write(report, refined.scene, where, seen.pictures, seen.drawn_by)
     else:
         _write(report, refined.scene, where)
     return TestOutcome(report, where, result.ended_by)
-
-
-def _attempt(
-    scene: Scene, *, bag: Path | None, with_camera: bool = True, on_progress: OnProgress | None
-) -> _Attempt:
-    with ExitStack() as stack:
-        observers: list[TestObserver] = []
-        recording = None
-        if bag is not None:
-            from recordings import test_bag
-
-            # What is there is a coarser attempt's.
-            shutil.rmtree(bag, ignore_errors=True)
-            recording = stack.enter_context(test_bag.TestBag(bag, scene))
-            observers.append(recording)
-        seen: _Seen | None = None
-        if with_camera and scene.camera is not None:
-            seen = _Seen(scene, recording)
-            stack.callback(seen.taker.close)
-            observers.append(seen.taker)
-        result = run_test(scene, observers=observers, on_progress=on_progress)
-        judged = judgement(scene, result.judge, is_complete=result.ended_by is None)
-        if seen is not None:
-            seen.finish()
-        if recording is not None:
-            recording.finish(report_json(judged, compact=True))
-    return _Attempt(result, judged, seen)
-
-
-class _Seen:
-    """What the camera of a test in this process sees: kept as JPEG, recorded, and measured where the scene asks."""
-
-    def __init__(self, scene: Scene, recording: "TestBag | None") -> None:
-        from msgs_adapters.camera_payloads import Calibration
-        from sim_core.camera.taker import PictureTaker
-
-        assert scene.camera is not None
-        self.pictures: list[Picture] = []
-        self.measured: Report | None = None
-        self.taker = PictureTaker(scene, [self._keep])
-        self._recording = recording
-        view = self.taker.source.view
-        self._calibration = Calibration(view.width, view.height, view.matrix, view.distortion)
-        self._live: LiveMeasurement | None = None
-        if scene.camera.measure:
-            from recordings import live_measurement
-
-            if self.taker.source.described.startswith("TinyRenderer"):
-                limit = "finds no OpenGL here, and TinyRenderer draws no targets: install Mesa's EGL"
-                raise RefusedInput("camera.measure", True, limit)
-
-            self._live = live_measurement.LiveMeasurement(scene, self._calibration)
-
-    def finish(self) -> None:
-        """Judges what was measured."""
-        if self._live is not None and self.pictures:
-            self.measured, publication = self._live.finish()
-            self._record(publication)
-
-    def _keep(self, picture: "Picture") -> None:
-        from sim_core.camera.source import Picture
-
-        if self._recording is not None:
-            self._recording.add_picture(picture.stamp_ns, picture.pixels, picture.jpeg, self._calibration)
-        if self._live is not None:
-            self._record(self._live.take(picture.stamp_ns, picture.pixels)[1])
-        # As pixels they would take 6 MB each.
-        self.pictures.append(Picture(picture.index, picture.stamp_ns, jpeg=picture.jpeg))
-
-    def _record(self, publication: "Publication") -> None:
-        if self._recording is not None:
-            self._recording.add(publication)
 
 
 def run_graph(
@@ -263,7 +170,7 @@ def run_graph(
     if scene.solver.tolerance_mm is not None:
         planned = run_to_tolerance(
             scene,
-            partial(_attempt, bag=None, with_camera=False, on_progress=on_progress),
+            partial(recorded_test, bag=None, with_camera=False, on_progress=on_progress),
             with_estimate=with_estimate,
         )
         scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements

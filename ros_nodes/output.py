@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from recordings.measure_bag import MeasuredBag
     from recordings.rescue import Recovery
     from ros_nodes.replay import Replayed
+    from sim_core.camera.cost import CameraCost
     from sim_core.stress import StressResult
     from sim_core.vision.sweep import SightSummary
 
@@ -230,12 +231,12 @@ def show_sight(summaries: "Sequence[SightSummary]") -> None:
     for column in (
         "scenes",
         "RMS mm",
-        "worst RMS mm",
-        "inside 95 %",
-        "same verdict",
+        "worst\nRMS mm",
+        "inside\n95 %",
+        "same\nverdict",
         "unresolved",
         "other",
-        "ms a picture",
+        "ms a\npicture",
     ):
         table.add_column(column, justify="right")
     for entry in summaries:
@@ -245,6 +246,22 @@ def show_sight(summaries: "Sequence[SightSummary]") -> None:
             f"{entry.take_ms:.0f}",
         )  # fmt: skip
     Console(highlight=False).print(table)
+
+
+def show_picture_cost(cost: "CameraCost") -> None:
+    """What a picture takes to be drawn, a size and a way of drawing a line."""
+    from sim_core.vision.sight_page import cost_table, cost_words
+
+    rows = cost_table(cost)
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for number, name in enumerate(rows[0]):
+        justify: Literal["left", "right"] = "left" if number < 2 else "right"
+        widest = max(map(len, name.split()))
+        table.add_column(Text(name), justify=justify, min_width=widest, no_wrap=number < 2)
+    for row in rows:
+        table.add_row(*(str(value) for value in row.values()))
+    Console(highlight=False).print(table)
+    print(cost_words(cost))
 
 
 def show_recovery(recovery: "Recovery", *, as_json: bool) -> None:

@@ -141,6 +141,17 @@ def compared(
     return ErrorEstimate(answer.step_s, differences, max(differences.values(), default=0.0))
 
 
+def answer_here(scenes: Sequence[Scene], *, is_coarse: bool = True, enough_mm: float | None = None) -> Answer:
+    """What ``BackgroundTest(scenes)`` answers, worked out in this process: for one that already has its core's worth.
+
+    Args:
+        scenes: resolved scenes to try in turn; the first that needs no halved step is the answer.
+        is_coarse: they are meant to be coarse: what the solver leaves unsolved halves no step.
+        enough_mm: a peak that settles the test: the run ends when it is reached, with that as its problem [mm].
+    """
+    return _first_sound([scene.to_json() for scene in scenes], is_coarse, enough_mm)
+
+
 class BackgroundTest:
     """One test in a process of its own, without recording.
 
@@ -246,39 +257,52 @@ class CrossCheck(BackgroundTest):
         }
 
 
-def _answer(scene: Scene, is_coarse: bool) -> tuple[Answer, bool]:
-    """What a test comes to, and whether it stayed at its own step from a settled load to its end."""
+def _answer(scene: Scene, is_coarse: bool, enough_mm: float | None, *, only_sound: bool) -> Answer | None:
+    """What a test comes to; with ``only_sound`` None as soon as it leaves its own step, or has a problem."""
     # The residual's monitor would halve a coarse test to the step of the one that it is compared with.
     test, judge = LoadTest(scene, with_residual_monitor=not is_coarse), EumosJudge(scene)
     problem = None
     try:
         for frame in test.frames():
             judge.add(frame)
+            if enough_mm is not None and judge.peak_mm > enough_mm:
+                problem = (
+                    f"ended when its peak, too, was beyond {enough_mm:.0f} mm: the rule is broken by far"
+                )
+                break
+            # Where only a plain failure is looked for, it is one at any step.
+            if only_sound and test.halvings and enough_mm is None:
+                return None
     except EndedByMonitor as error:
+        if only_sound:
+            return None
         problem = f"at a step of {1000.0 * scene.time_step_s:.3g} ms: {error}"
     finally:
         test.close()
+    if only_sound and problem is None and test.halvings:
+        return None
     rules = judge.rules() if judge.frame_count else []
     worst = {rule.rule: rule.worst_mm for rule in rules if rule.worst_mm is not None}
     states: dict[str, str] = {rule.rule: rule.state for rule in rules}
-    answer = Answer(worst, states, scene.time_step_s, problem, test.smallest_step_s)
-    return answer, problem is None and not test.halvings
+    return Answer(worst, states, scene.time_step_s, problem, test.smallest_step_s)
 
 
-def _first_sound(lines: Sequence[str], is_coarse: bool) -> Answer:
+def _first_sound(lines: Sequence[str], is_coarse: bool, enough_mm: float | None = None) -> Answer:
     """The answer of the first scene that needs no halved step; else of the first with the most to say."""
     answers = []
-    for line in lines:
-        step_s = 0.0
-        try:
-            scene = scene_from_json(line)
-            step_s = scene.time_step_s
-            answer, is_sound = _answer(scene, is_coarse)
-        except PalletTwinError as error:
-            answer, is_sound = Answer({}, {}, step_s, str(error)), False
-        if is_sound:
-            return answer
-        answers.append(answer)
+    # Whole runs that are not sound are the last resort: a step that doesn't hold is given up when it shows.
+    for only_sound in (True, False):
+        for line in lines:
+            step_s = 0.0
+            try:
+                scene = scene_from_json(line)
+                step_s = scene.time_step_s
+                answer = _answer(scene, is_coarse, enough_mm, only_sound=only_sound)
+            except PalletTwinError as error:
+                answer = None if only_sound else Answer({}, {}, step_s, str(error))
+            if answer is not None and only_sound:
+                return answer
+            answers += [answer] if answer is not None else []
     answers.sort(key=lambda answer: (answer.problem is not None, not answer.worst_mm))
     return answers[0] if answers else Answer({}, {}, 0.0, "no other step fits its samples")
 

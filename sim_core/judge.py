@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from config.scene import Scene
+from sim_core.first_failure import FailureWatch, FirstFailure
 from sim_core.frames import Array, FilmFrame, PoseFrame, RuleState
 from sim_core.geometry import CORNER_SIGNS, box_corners, rotation_matrices
 
@@ -121,6 +122,7 @@ class EumosJudge:
         self._peak[higher] = distance[higher]
         self._peak_time[higher] = time_s
         self._now, self._now_s, self._newest = distance, time_s, frame
+        self._failures.take(time_s, distance, self._lost)
         if self._limits.layer_fraction is not None:
             self._layer_peak = max(self._layer_peak, self._layer_shift())
         self._times.append(time_s)
@@ -138,6 +140,15 @@ class EumosJudge:
             self._deck_m, max(self.height_m, self._deck_m + 1.0e-3), BAND_COUNT + 1
         )
         band = np.clip(np.searchsorted(self._band_edges, corners[:, :, 2] - TIE_M) - 1, 0, BAND_COUNT - 1)
+        limits = self._limits
+        self._failures = FailureWatch(
+            self._names,
+            corners,
+            self._on_pallet,
+            permanent_m=limits.permanent_fraction * self.height_m,
+            base_m=limits.base_permanent_m,
+            elastic_m=limits.elastic_fraction * self.height_m,
+        )
         is_package = (np.arange(len(corners)) > 0)[:, None]
         # Corners of packages, band after band, and where each band that has any begins.
         shown = np.where(is_package, band, BAND_COUNT).ravel()
@@ -171,6 +182,19 @@ class EumosJudge:
     def verdict(self) -> Verdict:
         """``fail`` when any rule fails as things stand, else ``pass``."""
         return verdict_of(self.rules())
+
+    @property
+    def peak_mm(self) -> float:
+        """Largest displacement of any corner so far [mm]."""
+        return 1000.0 * float(self._peak.max())
+
+    def first_failure(self) -> FirstFailure | None:
+        """The rule that was broken first, as things stand, or None while all hold."""
+        torn_s = self._film.torn_s if self._film is not None else np.zeros(0)
+        if torn_s.max(initial=-1.0) < 0.0 or self._film is None:
+            return self._failures.first(None)
+        first = int(np.where(torn_s >= 0.0, torn_s, np.inf).argmin())
+        return self._failures.first((float(torn_s[first]), float(self._film.unrolled[first, :, 1].mean())))
 
     def packages(self) -> list[PackageResult]:
         """Every package's displacement so far, in scene order."""
@@ -242,10 +266,7 @@ class EumosJudge:
 
     def _damage_rule(self) -> RuleState:
         """Rigid packages don't crush: what is judged here is a package that toppled or fell, and film that tore."""
-        tilts = self._tilts_deg()
-        drop = self._first.positions[:, 2] - self._newest.positions[:, 2]
-        lost = (tilts > TOPPLED_TILT_DEG) | (drop > np.maximum(self._half_sizes[:, 2], 0.02))
-        lost[0] = False
+        tilts, lost = self._tilts_deg(), self._lost()
         row = int(np.argmax(np.where(lost, np.maximum(tilts, 1.0), 0.0)))
         found = bool(lost.any())
         package, time_s = self._names[row], self._now_s
@@ -287,6 +308,15 @@ class EumosJudge:
         numbers = np.unique(self._layers[self._layers > 0])
         means = [moved[self._layers == number].mean(axis=0) for number in numbers]
         return max((float(np.linalg.norm(b - a)) for a, b in pairwise(means)), default=0.0)
+
+    def _lost(self) -> NDArray[np.bool_]:
+        """Which bodies have toppled or fallen; never the pallet."""
+        drop = self._first.positions[:, 2] - self._newest.positions[:, 2]
+        lost: NDArray[np.bool_] = (self._tilts_deg() > TOPPLED_TILT_DEG) | (
+            drop > np.maximum(self._half_sizes[:, 2], 0.02)
+        )
+        lost[0] = False
+        return lost
 
     def _tilts_deg(self) -> Array:
         up = rotation_matrices(self._newest.orientations)[:, 2, 2]

@@ -45,6 +45,7 @@ def judgement(scene: Scene, judge: EumosJudge, *, is_complete: bool = True) -> R
         "name": scene.name,
         "verdict": verdict,
         "rules": [_rule_entry(rule) for rule in rules],
+        "first_failure": _first_entry(judge) if rules else None,
         "packages": [asdict(package) for package in judge.packages()] if rules else [],
         "height_m": judge.height_m if rules else None,
         "series": asdict(judge.series()) if rules else None,
@@ -194,6 +195,13 @@ def _rule_entry(rule: Any) -> dict[str, Any]:
     if rule.corner is not None:
         entry["corner_name"] = corner_name(rule.corner)
     return entry
+
+
+def _first_entry(judge: EumosJudge) -> dict[str, Any] | None:
+    first = judge.first_failure()
+    if first is None:
+        return None
+    return asdict(first) | ({"corner_name": corner_name(first.corner)} if first.corner is not None else {})
 
 
 def _moments(judge: EumosJudge) -> list[dict[str, Any]]:

@@ -67,7 +67,8 @@ def camera_section(report: Report, scene: Scene, pictures: ReportPictures | None
         video = (
             '<figure class="picture"><video controls loop muted preload="metadata" src="data:video/mp4;base64,'
             f'{base64.b64encode(pictures.video).decode()}"></video>'
-            f"<figcaption>The whole test at {report['camera']['rate_hz']:.4g} pictures a second, in real time</figcaption></figure>"
+            f"<figcaption>The whole test at {report['camera']['rate_hz']:.4g} pictures a second, in real time"
+            "</figcaption></figure>"
         )
     told = report["camera"]
     return (

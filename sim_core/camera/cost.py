@@ -26,6 +26,8 @@ BARS_S = {(1920, 1080): 0.25, (480, 270): 0.03}
 """What a picture with film and shadows may take in the median, by its size [s]."""
 PICTURES, WARM_UP = 40, 2
 MOVING_MPS = 0.1
+BUSY = 1.2
+"""Wall time so many times the processor time: other work got in between."""
 
 Drawn = Literal["film and shadows", "film, no shadows", "no film, shadows"]
 DRAWN: tuple[Drawn, ...] = ("film and shadows", "film, no shadows", "no film, shadows")
@@ -63,9 +65,16 @@ class CostRow:
         return BARS_S.get((self.width_px, self.height_px)) if self.drawn == DRAWN[0] else None
 
     @property
-    def is_met(self) -> bool | None:
-        """Whether the median is inside its bar; None where there is none."""
-        return None if self.bar_s is None else self.median_s <= self.bar_s
+    def state(self) -> Literal["inside", "over", "unresolved"] | None:
+        """Where the median is by its bar; None without one.
+
+        Over it on a busy machine, or with the 5th percentile inside, it is ``unresolved``: that may be other work.
+        """
+        if self.bar_s is None:
+            return None
+        if self.median_s <= self.bar_s:
+            return "inside"
+        return "unresolved" if self.low_s <= self.bar_s or self.median_s > BUSY * self.processor_s else "over"
 
 
 @dataclass(frozen=True)

@@ -97,8 +97,8 @@ def view_of(scene: Scene) -> CameraView:
         np.array(camera.position_m)
         if camera.position_m is not None
         else seen + camera.distance_m * side.normal
-    )
-    aim = np.array(camera.aim_m) if camera.aim_m is not None else seen
+    ) + np.array(camera.position_offset_m)
+    aim = (np.array(camera.aim_m) if camera.aim_m is not None else seen) + np.array(camera.aim_offset_m)
     rotation = _looking(position, aim)
     half_span = 0.5 * (side.right_m - side.left_m + side.travel_m[1] - side.travel_m[0]) + BOARD_OVERHANG_M
     corners = np.array(
@@ -108,7 +108,7 @@ def view_of(scene: Scene) -> CameraView:
             for rise in (-1.0, 1.0)
         ]
     )
-    focal = _focal_px(camera, (corners - position) @ rotation.T)
+    focal = camera.zoom * _focal_px(camera, (corners - position) @ rotation.T)
     width, height = camera.width_px, camera.height_px
     matrix = np.array([[focal, 0.0, 0.5 * (width - 1)], [0.0, focal, 0.5 * (height - 1)], [0.0, 0.0, 1.0]])
     view = CameraView(width, height, matrix, np.array(camera.distortion), rotation, -rotation @ position)

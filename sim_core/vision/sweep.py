@@ -5,19 +5,20 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from config.camera import Camera, Markers
-from config.scene import ForceFields, Scene
+from config.scene import EumosSled, ForceFields, Scene
 from config.scene_file import find_scene, overridden, read_scene
 from sim_core.report import versions
-from sim_core.vision.trial import picture_trial
+from sim_core.vision.trial import Trial, picture_trial
 from sim_core.work_precision import with_setting
 
-FORMAT = 1
+FORMAT = 2
 """Version of the rows on disk; raise it when a row's fields or their meaning change."""
 LEVELS_G = (0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 SEED = 20_260
@@ -27,7 +28,14 @@ BARE_LOADS = ("eur_columns", "eur_interlocked", "mixed_sizes", "stackbuilder", "
 FILM_LOADS = ("eur_wrap_lldpe", "mixed_wrap", "eur_wrap_one_way")
 
 Look = Literal["markers", "bare", "film"]
+LOOKS: tuple[Look, ...] = ("markers", "bare", "film")
+BARS_MM: dict[Look, float] = {"markers": 1.5, "bare": 3.0, "film": 5.0}
+"""What the root mean square error of one test may be, a look [mm]."""
+DEVIATION_EDGES = np.linspace(-5.0, 5.0, 41)
+"""Between these an error divided by its stated uncertainty is counted; beyond the ends, in two bins more."""
 Progress = Callable[[int, int, object], None]
+Case = tuple[str, Look, Scene]
+"""A test's name, its look and its scene, whose sled goes by the EUMOS profile."""
 
 
 @dataclass(frozen=True)
@@ -38,15 +46,19 @@ class SightRow:
         key: digest of all that the row depends on; a row on disk with this key is not run again.
         name: load, level and frictions.
         look: with markers, without, or behind film.
+        level_g: of the sled [g].
         rms_mm: root mean square error of a component [mm].
         largest_mm: largest error of a component [mm].
         coverage: share of errors inside the 95 % that is stated.
         errors: number of components compared.
+        deviations: how many of them, divided by their standard uncertainty, lie below, between and above
+            ``DEVIATION_EDGES``; 42 counts.
         tracked: share of the displacements that were measured.
         verdict: by the pictures.
         judged: by the poses, rules (i) to (iii).
         agrees: whether a verdict other than ``unresolved`` is the judge's.
         missed: rules, separated by spaces, whose state is neither the judge's nor ``unresolved``.
+        unsettled: rules, separated by spaces, whose state is ``unresolved``.
         take_ms: median time that a picture takes to measure [ms].
         slowest_ms: 95th percentile of it [ms].
     """
@@ -54,15 +66,18 @@ class SightRow:
     key: str
     name: str
     look: Look
+    level_g: float
     rms_mm: float
     largest_mm: float
     coverage: float
     errors: int
+    deviations: tuple[int, ...]
     tracked: float
     verdict: str
     judged: str
     agrees: bool
     missed: str
+    unsettled: str
     take_ms: float
     slowest_ms: float
 
@@ -95,7 +110,11 @@ class SightSummary:
 
 
 def run_sight(
-    out: Path, *, quick: bool = False, on_progress: Progress | None = None
+    out: Path,
+    *,
+    quick: bool = False,
+    cases: Sequence[Case] | None = None,
+    on_progress: Progress | None = None,
 ) -> tuple[list[SightRow], list[SightSummary]]:
     """Measures every load of the sweep and writes ``sight.csv`` and ``sight.json``.
 
@@ -104,12 +123,13 @@ def run_sight(
     Args:
         out: folder, made where it is missing.
         quick: two loads a look.
+        cases: other tests than the sweep's.
         on_progress: called with rows done, how many there are, and the last one.
     """
     out.mkdir(parents=True, exist_ok=True)
     path = out / "sight.json"
-    kept = _rows_on_disk(path)
-    wanted = list(_cases(quick=quick))
+    kept = _stored(path)
+    wanted = cases if cases is not None else list(_cases(quick=quick))
     rows: list[SightRow] = []
     for number, (name, look, scene) in enumerate(wanted, start=1):
         key = _key(look, scene)
@@ -123,11 +143,19 @@ def run_sight(
     return rows, summaries(rows)
 
 
+def rows_on_disk(out: Path, *, cases: Sequence[Case] | None = None) -> list[SightRow]:
+    """The sweep's rows, or those of other cases, that a folder holds of these versions, in order; none is measured."""
+    kept = _stored(out / "sight.json")
+    if not kept:
+        return []
+    keys = (_key(look, scene) for _, look, scene in cases or _cases(quick=False))
+    return [kept[key] for key in keys if key in kept]
+
+
 def summaries(rows: Sequence[SightRow]) -> list[SightSummary]:
     """The rows of each look together."""
     found = []
-    looks: tuple[Look, ...] = ("markers", "bare", "film")
-    for look in looks:
+    for look in LOOKS:
         chosen = [row for row in rows if row.look == look]
         if not chosen:
             continue
@@ -149,7 +177,7 @@ def summaries(rows: Sequence[SightRow]) -> list[SightSummary]:
     return found
 
 
-def _cases(*, quick: bool) -> Iterator[tuple[str, Look, Scene]]:
+def _cases(*, quick: bool) -> Iterator[Case]:
     """Loads, levels, frictions and fields from a seed: the same loads with markers and without."""
     for number in range(2 if quick else FILM_SCENES):
         load, level = FILM_LOADS[number % len(FILM_LOADS)], LEVELS_G[number % 4]
@@ -180,39 +208,67 @@ def _scene(name: str, level_g: float, friction: float | None) -> Scene:
 
 
 def _key(look: Look, scene: Scene) -> str:
-    told = json.dumps([FORMAT, look, scene.to_json(), versions()])
+    told = json.dumps([FORMAT, look, scene.to_json(), versions_used()])
     return hashlib.sha256(told.encode()).hexdigest()
+
+
+def versions_used() -> dict[str, str]:
+    """Versions of all that draws, simulates and measures."""
+    found = versions()
+    for name in ("mujoco", "vtk", "opencv-python-headless"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
 
 
 def _row(key: str, name: str, look: Look, scene: Scene) -> SightRow:
     trial = picture_trial(scene)
     measured = {rule.rule: rule.state for rule in trial.measured.rules}
+    unsettled = [rule for rule, state in measured.items() if state == "unresolved"]
     missed = [
         rule.rule for rule in trial.judged if measured.get(rule.rule) not in (rule.state, "unresolved", None)
     ]
-    checked = trial.checked
     return SightRow(
         key=key,
         name=name,
         look=look,
+        level_g=_level_g(scene),
         rms_mm=trial.rms_mm,
         largest_mm=trial.largest_mm,
         coverage=trial.coverage,
-        errors=int(checked.sum()),
+        errors=int(trial.checked.sum()),
+        deviations=_deviations(trial),
         tracked=trial.tracked_share,
         verdict=trial.measured.verdict,
         judged=trial.verdict,
         agrees=trial.agrees,
         missed=" ".join(missed),
+        unsettled=" ".join(unsettled),
         take_ms=1000.0 * float(np.median(trial.wall_s)),
         slowest_ms=1000.0 * float(np.percentile(trial.wall_s, 95)),
     )
 
 
-def _rows_on_disk(path: Path) -> dict[str, SightRow]:
+def _deviations(trial: Trial) -> tuple[int, ...]:
+    """How many errors, divided by their standard uncertainty, lie below, between and above ``DEVIATION_EDGES``."""
+    checked = trial.checked
+    share = (trial.displacement - trial.truth)[checked] / trial.sigma[checked]
+    bins = np.searchsorted(DEVIATION_EDGES, share, side="right")
+    return tuple(np.bincount(bins, minlength=len(DEVIATION_EDGES) + 1).tolist())
+
+
+def _level_g(scene: Scene) -> float:
+    assert isinstance(scene.sled, EumosSled)
+    return scene.sled.level_g
+
+
+def _stored(path: Path) -> dict[str, SightRow]:
     try:
         stored: list[dict[str, Any]] = json.loads(path.read_text(encoding="utf-8"))
-        return {entry["key"]: SightRow(**entry) for entry in stored}
+        rows = [SightRow(**{**entry, "deviations": tuple(entry["deviations"])}) for entry in stored]
+        return {row.key: row for row in rows}
     except (OSError, ValueError, TypeError, KeyError):
         # None, or of another version: measured anew.
         return {}
@@ -227,9 +283,8 @@ def _write(path: Path, entries: list[dict[str, Any]]) -> None:
 def _write_table(rows: Sequence[SightRow], path: Path) -> None:
     scratch = path.with_name(path.name + ".part")
     with scratch.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.DictWriter(stream, [field.name for field in fields(SightRow) if field.name != "key"])
+        told = [field.name for field in fields(SightRow) if field.name not in ("key", "deviations")]
+        writer = csv.DictWriter(stream, told, extrasaction="ignore")
         writer.writeheader()
-        writer.writerows(
-            {name: value for name, value in asdict(row).items() if name != "key"} for row in rows
-        )
+        writer.writerows(asdict(row) for row in rows)
     scratch.replace(path)

@@ -1,0 +1,1 @@
+"""Campaigns: thousands of labelled tests, the same ones every time."""
