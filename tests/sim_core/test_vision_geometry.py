@@ -7,6 +7,7 @@ import pytest
 from config.errors import RefusedInput
 from sim_core.camera.print import quadrant_target
 from sim_core.camera.view import view_of
+from sim_core.vision.faces import _block_found
 from sim_core.vision.motion import fit_motions
 from sim_core.vision.plane import SightFinder, undistorted
 from sim_core.vision.targets import TargetTracker, find_targets, refined
@@ -141,10 +142,11 @@ def seen_after(
     return FOOT + (place - FOOT) * distance / (distance - nearer)
 
 
-def fitted(before: np.ndarray, after: np.ndarray, moved_m: float):
+def fitted(before: np.ndarray, after: np.ndarray, moved_m: float, *, may_come_out: bool = True):
     return fit_motions(
         before, after, before.mean(axis=1), FOOT, np.full(len(before), 4.0), point_sigma_m=np.full(len(before), 1e-4),
         tolerance_m=3e-3, moved_m=np.full(len(before), moved_m),
+        may_come_out=np.full(len(before), may_come_out),
     )  # fmt: skip
 
 
@@ -174,3 +176,27 @@ def test_a_package_that_comes_nearer_is_not_taken_for_one_that_moves_sideways():
     # Taken as it looks, the second face would have moved by (centre − foot)·δ/D = 5 mm.
     assert np.linalg.norm((after - before).mean(axis=1), axis=1).max() > 5e-3
     assert np.abs(fitted(before, after, 0.005).centre).max() < 3e-4
+
+
+def test_a_package_that_may_have_come_nearer_has_an_uncertainty_that_says_so():
+    before = CENTRES[:, None] + np.random.default_rng(6).uniform(-0.15, 0.15, (2, 20, 2))
+    after = np.array([seen_after(points, np.zeros(2), 0.0, 0.02, 4.0) for points in before])
+    held = fitted(before, after, 0.005, may_come_out=False)
+    assert held.comes_out.all()
+    spread = np.sqrt(np.diagonal(held.covariance, axis1=1, axis2=2)[:, :2])
+    assert np.abs(held.centre).max() > 3e-3
+    # Half of what the two explanations differ by, at the least.
+    assert (np.abs(held.centre) <= 2.0 * spread + 3e-4).all()
+
+
+def test_a_block_is_found_again_to_a_tenth_of_a_pixel_and_not_where_nothing_is_like_it():
+    rng = np.random.default_rng(2)
+    reference = cv2.GaussianBlur(rng.uniform(0.0, 255.0, (90, 90)), (0, 0), 2.0)
+    reference = cv2.normalize(reference, None, 20.0, 235.0, cv2.NORM_MINMAX).astype(np.uint8)
+    matrix = np.array([[1.0, 0.0, 3.4], [0.0, 1.0, -2.3]])
+    moved = cv2.warpAffine(reference, matrix, (90, 90), flags=cv2.INTER_CUBIC)
+    # A gleam over a tenth of it.
+    moved[30:80, 44:49] = cv2.add(moved[30:80, 44:49], 60)
+    assert _block_found(reference, moved, 45, 45) == pytest.approx((48.4, 42.7), abs=0.15)
+    other = rng.uniform(0.0, 255.0, (90, 90)).astype(np.uint8)
+    assert np.isnan(_block_found(reference, other, 45, 45)).all()
