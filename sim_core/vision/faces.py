@@ -3,6 +3,10 @@
 Every face has a tile. The tiles of the reference picture are compared with tiles cut from each later picture along the
 motion that is foretold for the face, turned and shifted with it: so that what is left to be found is small, however far
 the package went, and every picture is compared with the first and not with the one before, which would drift.
+
+Some of what stands out in the first picture is no print: gleams and folds of a film, edges of shadows. They stay behind
+or change as the sled goes on. So every face has more points than are followed, and those that go astray give way to
+others; and where hardly any agree, blocks several times as large as a point's surroundings are looked for instead.
 """
 
 from dataclasses import dataclass
@@ -18,10 +22,18 @@ from sim_core.geometry import rotation_matrices, yaw_quaternion
 from sim_core.vision.plane import Sight, undistorted
 
 Grey = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
 
 MOST_POINTS = 24
+_POOL_POINTS = 96
+ASTRAY_PICTURES = 2
+"""A point that disagrees with its face in so many pictures in a row gives way to another."""
+_MOST_BLOCKS, _BLOCK_PX, _BLOCK_REACH_PX, _LEAST_BLOCK_MATCH = 24, 37, 8, 0.5
+_LEAST_CONTRAST, _LEAST_PEAK = 4.0, 0.06
+"""A block is looked for if its grey values vary so much; it is found if it matches so much less two pixels off."""
 MOST_TILE_PIXELS = 5.0e5
-_APART = 0.11
+_APART, _POOL_APART = 0.11, 0.05
+"""Of a face's shorter edge: so far points are from each other that are followed first, and all others."""
 _MARGIN_PX = 12
 _WINDOW_PX = 15
 _AROUND_PX = 25
@@ -134,9 +146,12 @@ class FaceTracker:
         self._taken = 0
         self._plain: Grey = np.zeros(self._shape, np.uint8)
         self._reference = self._plain
-        self._points = np.full((len(faces), MOST_POINTS, 2), np.nan)
-        self._rays = np.full((len(faces), MOST_POINTS, 2), np.nan)
-        self._depths = np.zeros((len(faces), MOST_POINTS))
+        self._pool = _Spots(len(faces), _POOL_POINTS)
+        self._blocks = _Spots(len(faces), _MOST_BLOCKS)
+        # Which of the pool are followed; in how many pictures in a row each went astray, and in how many in all.
+        self._followed = np.tile(np.arange(MOST_POINTS), (len(faces), 1))
+        self._astray = np.zeros((len(faces), _POOL_POINTS), dtype=int)
+        self._distrust = np.zeros((len(faces), _POOL_POINTS), dtype=int)
 
     def refer(self, grey: Grey, sight: Sight, travel_m: float) -> None:
         """Takes a picture of the load as it stands before the start; several are averaged."""
@@ -148,15 +163,44 @@ class FaceTracker:
         self._plain = np.round(self._mean).astype(np.uint8)
         self._reference = self._evened(self._plain)
         if self._taken == 1:
-            self._choose_points(sight, homographies)
+            self._choose(sight, homographies)
 
     def before(self, sight: Sight) -> Array:
         """Where the points are on the standing load, along right and up [m], shape [n, points, 2]; NaN for no point.
 
         The camera's pose is known better as the sled goes on: places are compared as one and the same pose has them.
         """
-        flat = sight.on_plane(self._rays.reshape(-1, 2), self._side, self._depths.ravel(), 0.0)
-        return flat.reshape(self._rays.shape)
+        rays, depths = self._of(self._pool.rays), self._of(self._pool.depths)
+        return sight.on_plane(rays.reshape(-1, 2), self._side, depths.ravel(), 0.0).reshape(rays.shape)
+
+    def blocks_before(self, sight: Sight, chosen: list[int]) -> Array:
+        """The same for the blocks of some faces, shape [chosen, points, 2]."""
+        rays, depths = self._blocks.rays[chosen], self._blocks.depths[chosen]
+        return sight.on_plane(rays.reshape(-1, 2), self._side, depths.ravel(), 0.0).reshape(rays.shape)
+
+    def exchange(self, agrees: Flags, chosen: list[int]) -> None:
+        """Lets points that go on disagreeing give way to those of the pool that did so least often.
+
+        Args:
+            agrees: which of the points moved with their face, shape [n, points].
+            chosen: the faces that were looked for.
+        """
+        for number in chosen:
+            followed = self._followed[number]
+            self._astray[number, followed] = np.where(agrees[number], 0, self._astray[number, followed] + 1)
+            more = np.where(agrees[number], -1, 1)
+            self._distrust[number, followed] = np.maximum(self._distrust[number, followed] + more, 0)
+            spare = np.isfinite(self._pool.pixels[number, :, 0])
+            gone = np.flatnonzero(~spare[followed] | (self._astray[number, followed] >= ASTRAY_PICTURES))
+            spare[followed] = False
+            others = np.flatnonzero(spare)
+            others = others[np.argsort(self._distrust[number, others], kind="stable")][: len(gone)]
+            followed[gone[: len(others)]] = others
+            self._astray[number, others] = 0
+
+    def _of(self, values: Array) -> Array:
+        """Values of the points that are followed, of those of the pool."""
+        return values[np.arange(len(values))[:, None], self._followed]
 
     def find(self, grey: Grey, sight: Sight, travel_m: float, foretold: Array, chosen: list[int]) -> Array:
         """Where the points are now, at the depth that they had, along right and up [m], shape [chosen, points, 2].
@@ -170,8 +214,9 @@ class FaceTracker:
         """
         mosaic, homographies = self._cut(grey, sight, travel_m, foretold, chosen)
         mosaic = self._evened(mosaic)
-        known = np.isfinite(self._points[chosen]).all(axis=2)
-        start = self._points[chosen][known].astype(np.float32)
+        points, depths = self._of(self._pool.pixels)[chosen], self._of(self._pool.depths)[chosen]
+        known = np.isfinite(points).all(axis=2)
+        start = points[known].astype(np.float32)
         after = np.full((len(chosen), MOST_POINTS, 2), np.nan)
         if not len(start):
             return after
@@ -187,13 +232,41 @@ class FaceTracker:
         )  # fmt: skip
         off = np.linalg.norm(back - start, axis=1)
         good = (went.ravel() > 0) & (came.ravel() > 0) & (off < _RETURN_PX)
+        spots: Array = np.where(good[:, None], np.asarray(there, dtype=np.float64), np.nan)
         owner = np.nonzero(known)[0]
+        after[known] = self._places(spots, owner, depths[known], chosen, homographies, sight, travel_m)
+        return after
+
+    def find_blocks(
+        self, grey: Grey, sight: Sight, travel_m: float, foretold: Array, chosen: list[int]
+    ) -> Array:
+        """The same for the faces' blocks: by correlation, less finely, but in spite of much that covers the print."""
+        mosaic, homographies = self._cut(grey, sight, travel_m, foretold, chosen)
+        mosaic = self._evened(mosaic)
+        known = np.isfinite(self._blocks.pixels[chosen]).all(axis=2)
+        start = self._blocks.pixels[chosen][known]
+        there = np.array([_block_found(self._reference, mosaic, x, y) for x, y in start.astype(int).tolist()])
+        after = np.full((len(chosen), _MOST_BLOCKS, 2), np.nan)
+        if len(there):
+            depths, owner = self._blocks.depths[chosen][known], np.nonzero(known)[0]
+            after[known] = self._places(there, owner, depths, chosen, homographies, sight, travel_m)
+        return after
+
+    def _places(
+        self,
+        there: Array,
+        owner: NDArray[np.intp],
+        depths: Array,
+        chosen: list[int],
+        homographies: Array,
+        sight: Sight,
+        travel_m: float,
+    ) -> Array:
+        """Places of tile pixels along right and up [m], shape [k, 2]; ``owner`` tells the face, of those chosen."""
         origin = np.array([self._tiles[number][:2] for number in chosen], dtype=float)
         pixels = _mapped(there - origin[owner], homographies[owner])
         rays = undistorted(pixels, sight.view.matrix, sight.view.distortion)
-        places = sight.on_plane(rays, self._side, self._depths[chosen][known], travel_m)
-        after[known] = np.where(good[:, None], places, np.nan)
-        return after
+        return sight.on_plane(rays, self._side, depths, travel_m)
 
     def search(
         self, coarse: Grey, sight: Sight, travel_m: float, foretold: Array, number: int, *, reach_m: float
@@ -264,36 +337,100 @@ class FaceTracker:
         around = cv2.blur(mosaic, (_AROUND_PX, _AROUND_PX))
         return np.asarray(cv2.divide(mosaic, around, scale=110.0), dtype=np.uint8)
 
-    def _choose_points(self, sight: Sight, homographies: Array) -> None:
-        side = self._side
-        outlines = [in_plane(face.corners, side) for face in self._faces]
-        depths = [float((face.corners @ side.normal).max()) for face in self._faces]
-        for number, face in enumerate(self._faces):
+    def _choose(self, sight: Sight, homographies: Array) -> None:
+        """Chooses points and blocks in the first picture."""
+        for number in range(len(self._faces)):
             x, y, w, h = self._tiles[number]
-            tile = self._reference[y : y + h, x : x + w]
-            mask = np.zeros((h, w), np.uint8)
-            inset = _MARGIN_PX + min(6, w // 12, h // 12)
-            mask[inset : h - inset, inset : w - inset] = 255
-            apart = max(5.0, _APART * min(w, h))
-            strong = cv2.goodFeaturesToTrack(
-                np.ascontiguousarray(tile), 2 * MOST_POINTS, 0.005, apart, mask=mask, blockSize=7
-            )
-            if strong is None:
-                continue
-            spots = strong.reshape(-1, 2).astype(float)
-            pixels = _mapped(spots, np.broadcast_to(homographies[number], (len(spots), 3, 3)))
-            rays = undistorted(pixels, sight.view.matrix, sight.view.distortion)
-            points = _on_face(rays, sight, face)
-            places = in_plane(points, side)
-            hidden = np.zeros(len(places), dtype=bool)
-            for outline, depth in zip(outlines, depths, strict=True):
-                if depth > depths[number] + 1.0e-3:
-                    low, high = outline.min(axis=0) - 0.02, outline.max(axis=0) + 0.02
-                    hidden |= ((places > low) & (places < high)).all(axis=1)
-            kept = np.flatnonzero(~hidden)[:MOST_POINTS]
-            self._points[number, : len(kept)] = spots[kept] + (x, y)
-            self._rays[number, : len(kept)] = rays[kept]
-            self._depths[number, : len(kept)] = points[kept] @ side.normal
+            tile = np.ascontiguousarray(self._reference[y : y + h, x : x + w])
+            apart, between = _strong_spots(tile)
+            for spots, found, first, last in (
+                (self._pool, apart, 0, MOST_POINTS),
+                (self._pool, between, MOST_POINTS, _POOL_POINTS),
+                (self._blocks, _block_spots(tile), 0, _MOST_BLOCKS),
+            ):
+                pixels = _mapped(found, np.broadcast_to(homographies[number], (len(found), 3, 3)))
+                rays = undistorted(pixels, sight.view.matrix, sight.view.distortion)
+                points = _on_face(rays, sight, self._faces[number])
+                kept = np.flatnonzero(~self._are_hidden(points, number))[: last - first]
+                slots = slice(first, first + len(kept))
+                spots.pixels[number, slots] = found[kept] + (x, y)
+                spots.rays[number, slots] = rays[kept]
+                spots.depths[number, slots] = points[kept] @ self._side.normal
+
+    def _are_hidden(self, points: Array, number: int) -> Flags:
+        """Which points of a face lie behind faces that are nearer to the camera."""
+        places = in_plane(points, self._side)
+        depths = [float((face.corners @ self._side.normal).max()) for face in self._faces]
+        hidden = np.zeros(len(places), dtype=np.bool_)
+        for face, depth in zip(self._faces, depths, strict=True):
+            if depth > depths[number] + 1.0e-3:
+                outline = in_plane(face.corners, self._side)
+                low, high = outline.min(axis=0) - 0.02, outline.max(axis=0) + 0.02
+                hidden |= ((places > low) & (places < high)).all(axis=1)
+        return hidden
+
+
+class _Spots:
+    """Places on the faces as they stood: pixels of the mosaic, undistorted rays, and depths [m]; NaN for none."""
+
+    def __init__(self, faces: int, most: int) -> None:
+        self.pixels = np.full((faces, most, 2), np.nan)
+        self.rays = np.full((faces, most, 2), np.nan)
+        self.depths = np.zeros((faces, most))
+
+
+def _strong_spots(tile: Grey) -> tuple[Array, Array]:
+    """Corners in a tile [px], shape [n, 2] each: some far apart, and others between them, the strongest first."""
+    h, w = tile.shape
+    mask = np.zeros((h, w), np.uint8)
+    inset = _MARGIN_PX + min(6, w // 12, h // 12)
+    mask[inset : h - inset, inset : w - inset] = 255
+    found = []
+    for share, count in ((_APART, 2 * MOST_POINTS), (_POOL_APART, _POOL_POINTS)):
+        apart = max(5.0, share * min(w, h))
+        strong = cv2.goodFeaturesToTrack(tile, count, 0.005, apart, mask=mask, blockSize=7)
+        spots = np.zeros((0, 2)) if strong is None else strong.reshape(-1, 2).astype(float)
+        for spot in spots:
+            cv2.circle(mask, np.round(spot).astype(int).tolist(), round(apart), 0, cv2.FILLED)
+        found.append(spots)
+    return found[0], found[1]
+
+
+def _block_spots(tile: Grey) -> Array:
+    """Middles of blocks in a tile that show something [px], shape [n, 2]; those that show most come first."""
+    h, w = tile.shape
+    half, found = _BLOCK_PX // 2, []
+    across, down = w - 2 * (_MARGIN_PX + half), h - 2 * (_MARGIN_PX + half)
+    if across < 1 or down < 1:
+        return np.zeros((0, 2))
+    first = _MARGIN_PX + half
+    for y in np.linspace(first, h - 1 - first, 1 + -(-down // half)).astype(int):
+        for x in np.linspace(first, w - 1 - first, 1 + -(-across // half)).astype(int):
+            block = tile[y - half : y + half + 1, x - half : x + half + 1]
+            found.append((float(block.std()), float(x), float(y)))
+    shown = sorted((entry for entry in found if entry[0] > _LEAST_CONTRAST), reverse=True)
+    return np.array([entry[1:] for entry in shown]).reshape(-1, 2)
+
+
+def _block_found(reference: Grey, mosaic: Grey, x: int, y: int) -> tuple[float, float]:
+    """Where the block around a pixel of the reference is in a mosaic [px]; NaN where nothing matches it alone."""
+    half, reach = _BLOCK_PX // 2, _BLOCK_REACH_PX
+    wanted = reference[y - half : y + half + 1, x - half : x + half + 1]
+    around = half + reach
+    low = max(x - around, 0), max(y - around, 0)
+    searched = mosaic[low[1] : y + around + 1, low[0] : x + around + 1]
+    score = cv2.matchTemplate(searched, wanted, cv2.TM_CCOEFF_NORMED)
+    _, best, _, (column, row) = cv2.minMaxLoc(score)
+    height, width = score.shape
+    if best < _LEAST_BLOCK_MATCH or not (2 <= column < width - 2 and 2 <= row < height - 2):
+        return float("nan"), float("nan")
+    off = []
+    for line in (score[row, column - 2 : column + 3], score[row - 2 : row + 3, column]):
+        if best - max(float(line[0]), float(line[4])) < _LEAST_PEAK:
+            return float("nan"), float("nan")
+        # The vertex of the parabola through the three highest.
+        off.append(0.5 * float(line[1] - line[3]) / float(line[1] - 2.0 * line[2] + line[3]))
+    return low[0] + half + column + off[0], low[1] + half + row + off[1]
 
 
 def _on_face(rays: Array, sight: Sight, face: Face) -> Array:

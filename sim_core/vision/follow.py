@@ -20,11 +20,15 @@ Flags = NDArray[np.bool_]
 State = Literal["tracked", "occluded", "blurred", "out of view", "lost"]
 TRACKED: State = "tracked"
 
-FACE_POINT_PX, TAG_POINT_PX = 0.06, 0.1
-"""Least standard deviation of a point of a carton's print, and of a tag's corner."""
+FACE_POINT_PX, BLOCK_POINT_PX, TAG_POINT_PX = 0.06, 0.15, 0.1
+"""Least standard deviation of a point of a carton's print, of a block of it, and of a tag's corner."""
 TOLERANCE_PX = 2.5
 LEAST_POINTS, LEAST_SHARE = 4, 0.2
-STRONG_SHARE, WEAK_REACH, MOST_SPREAD_PX = 0.45, 0.15, 0.4
+BLOCKS_SHARE = 0.25
+"""So many of a face's blocks have to agree."""
+UNSURE_SHARE = 0.7
+"""Where less than this share of the points agrees, those that don't give way to others."""
+STRONG_SHARE, WEAK_REACH, MOST_SPREAD_PX = 0.45, 0.08, 0.4
 """Where less than this share of the points agrees, packages leap less far, and the points must agree better."""
 WEAK_M = 1.5e-3
 """Standard deviation of what few points say beyond what they differ by, measured behind film."""
@@ -36,7 +40,9 @@ NEIGHBOUR_SHARE = 0.45
 PICTURES_A_TAG_CHECK = 10
 DISAGREEMENT_M = 0.05
 """Print that is so far from where the tags say is another package's."""
-_SEARCHES_A_PICTURE = 3
+_SEARCHES_A_PICTURE, _BLOCKS_A_PICTURE = 3, 5
+AGREES_PX = 2.0
+"""A point that is so near to where its face's motion takes it goes on being followed."""
 _LEAST_MATCH = 0.6
 SELDOM_AFTER, PICTURES_A_RETRY = 10, 5
 """After so many pictures without it a package is looked for in every so many only."""
@@ -82,6 +88,9 @@ class PackageFollower:
         self._depths = np.array([face.centre @ self._side.normal for face in faces])
         self._distance = sight.view.position @ self._side.normal - self._depths
         self.pixel_m = float(self._distance.mean()) / float(sight.view.matrix[0, 0])
+        # A film holds the packages in one plane, and its gleams on them look like anything.
+        self._may_come_out = scene.film is None
+        self._came_out = np.zeros(len(faces), dtype=np.bool_)
         self._tracker = FaceTracker(scene, faces, sight)
         is_marked = scene.camera.markers is not None
         self._tags = TagTracker(scene, faces, self.pixel_m) if is_marked else None
@@ -117,6 +126,8 @@ class PackageFollower:
         outlines = self._outlines(foretold) if not good.all() else np.zeros(0)
         for number in np.flatnonzero(~good).tolist():
             states[number] = self._why_not(number, outlines, good, sight, travel_m)
+        # What is not so in two pictures in a row is noise.
+        self._came_out = motions.comes_out & good
         self._keep(good, np.column_stack((motions.centre, motions.turn)), step_s)
         variance += np.where(by_tags | (motions.share >= STRONG_SHARE), 0.0, WEAK_M)[:, None, None] ** 2
         # What moves is seen where it was half the exposure before the stamp.
@@ -134,7 +145,13 @@ class PackageFollower:
             after[looked] = self._tracker.find(grey, sight, travel, foretold, looked)
         motions = self._fitted(before, after, foretold, nobody, travel, sight)
         good = self._are_good(motions, nobody, foretold)
-        # The least long lost first.
+        doubtful = [k for k in looked if not good[k] or motions.share[k] < STRONG_SHARE]
+        # What is lost comes first, and of that the least long lost.
+        doubtful.sort(key=lambda k: (bool(good[k]), int(self._missed[k]), float(motions.share[k])))
+        doubtful = doubtful[:_BLOCKS_A_PICTURE]
+        if doubtful:
+            motions = self._by_blocks(grey, sight, travel, foretold, motions, doubtful)
+            good = self._are_good(motions, nobody, foretold)
         lost = sorted((k for k in looked if not good[k]), key=lambda k: int(self._missed[k]))
         again, found = foretold.copy(), []
         coarse = _shrunk(grey) if lost else grey
@@ -146,10 +163,24 @@ class PackageFollower:
             if score > _LEAST_MATCH:
                 found.append(number)
         if found:
-            after[found] = self._tracker.find(grey, sight, travel, again, found)
-            motions = self._fitted(before, after, again, nobody, travel, sight)
+            motions = self._by_blocks(grey, sight, travel, again, motions, found)
             good = self._are_good(motions, nobody, foretold)
+        there = motions.moved(np.nan_to_num(before), self._centres)
+        agrees = np.linalg.norm(after - there, axis=2) < AGREES_PX * self.pixel_m
+        unsure = [k for k in looked if not good[k] or motions.share[k] < UNSURE_SHARE]
+        self._tracker.exchange(agrees & good[:, None], unsure)
         return motions, good
+
+    def _by_blocks(
+        self, grey: Grey, sight: Sight, travel: float, foretold: Array, motions: Motions, chosen: list[int]
+    ) -> Motions:
+        """The motions with those of some faces by their blocks, where enough of these agree."""
+        before = self._tracker.blocks_before(sight, chosen)
+        after = self._tracker.find_blocks(grey, sight, travel, foretold, chosen)
+        nobody = np.zeros(len(self._faces), dtype=bool)
+        found = self._fitted(before, after, foretold, nobody, travel, sight, chosen)
+        taken = np.flatnonzero((found.share >= BLOCKS_SHARE) & (found.used > LEAST_POINTS)).tolist()
+        return motions.with_rows([chosen[k] for k in taken], found.of(taken))
 
     def _by_tags(
         self, grey: Grey, sight: Sight, travel: float, foretold: Array, motions: Motions, good: Flags
@@ -177,17 +208,28 @@ class PackageFollower:
         return low[0], low[1], high[0], high[1]
 
     def _fitted(
-        self, before: Array, after: Array, near: Array, is_tagged: Flags, travel: float, sight: Sight
+        self,
+        before: Array,
+        after: Array,
+        near: Array,
+        is_tagged: Flags,
+        travel: float,
+        sight: Sight,
+        chosen: list[int] | None = None,
     ) -> Motions:
+        """Motions of all faces by points, or of the chosen ones by blocks."""
+        rows = chosen if chosen is not None else list(range(len(self._faces)))
+        least_px = FACE_POINT_PX if chosen is None else BLOCK_POINT_PX
         return fit_motions(
             before,
             after,
-            self._centres,
+            self._centres[rows],
             in_plane(sight.view.position - travel * sight.direction, self._side),
-            self._distance,
-            point_sigma_m=self.pixel_m * np.where(is_tagged, TAG_POINT_PX, FACE_POINT_PX),
+            self._distance[rows],
+            point_sigma_m=self.pixel_m * np.where(is_tagged[rows], TAG_POINT_PX, least_px),
             tolerance_m=self.pixel_m * TOLERANCE_PX,
-            moved_m=np.linalg.norm(near[:, :2], axis=1),
+            moved_m=np.linalg.norm(near[rows, :2], axis=1),
+            may_come_out=self._came_out[rows] if self._may_come_out else None,
         )
 
     @property

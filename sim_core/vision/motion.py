@@ -7,7 +7,7 @@ perpendicular on the plane, by (p − f)·e/D with the camera's distance D. The 
 which a single camera sees little, are held near zero by how far they go in practice.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,9 @@ _HYPOTHESES = 32
 _ITERATIONS, _FIRST_ITERATIONS = 8, 3
 FREE = (0.03, 0.1, 0.1)
 """How far δ [m], ψ and χ [rad] are let go at first, to see whether they explain what the points do."""
-CLEARLY_BETTER = 20.0
-"""How many variances of a point the sum of squares has to fall by, for that to be believed."""
+CLEARLY_BETTER, MOST_AGREE = 20.0, 0.7
+"""How many variances of a point the sum of squares has to fall by, and how many of the points have to agree, for that
+to be believed: few points let themselves be explained by anything."""
 NEARER_M, TURNED_RAD = 3.0e-4, 1.0e-3
 """How far packages that hardly move come nearer, or turn out of the picture's plane: standard deviations, as simulated
 loads on a EUR pallet do at 0.3 g to 0.8 g."""
@@ -41,6 +42,7 @@ class Motions:
         spread_m: robust standard deviation of the points' residuals [m], shape [n].
         used: how many points agree, shape [n].
         share: of the points that could be looked for, shape [n].
+        comes_out: whether a large δ, ψ or χ would explain much better what the points do, shape [n].
     """
 
     centre: Array
@@ -50,6 +52,7 @@ class Motions:
     spread_m: Array
     used: NDArray[np.intp]
     share: Array
+    comes_out: Flags
 
     def replaced(self, others: "Motions", where: NDArray[np.bool_]) -> "Motions":
         """These motions with some of them taken from others, shape [n]."""
@@ -64,6 +67,30 @@ class Motions:
             }
         )
 
+    def of(self, rows: list[int]) -> "Motions":
+        """Those of some faces."""
+        return Motions(**{field.name: getattr(self, field.name)[rows] for field in fields(self)})
+
+    def moved(self, points: Array, centres: Array) -> Array:
+        """Where points of the faces are in the plane after the motion [m], shape [n, k, 2]."""
+        turned = self._turned(points - centres[:, None])
+        return centres[:, None] + self.centre[:, None] + turned
+
+    def _turned(self, arm: Array) -> Array:
+        cos, sin = np.cos(self.turn)[:, None], np.sin(self.turn)[:, None]
+        return np.stack(
+            (cos * arm[..., 0] - sin * arm[..., 1], sin * arm[..., 0] + cos * arm[..., 1]), axis=-1
+        )
+
+    def with_rows(self, rows: list[int], others: "Motions") -> "Motions":
+        """These motions with some faces' taken from others, which are of these faces only."""
+        changed = {}
+        for field in fields(self):
+            values = getattr(self, field.name).copy()
+            values[rows] = getattr(others, field.name)
+            changed[field.name] = values
+        return Motions(**changed)
+
     def displaced(self, points: Array, centres: Array) -> tuple[Array, Array]:
         """Displacement of points of the faces along right and up, and its variances [m, m²], shape [n, k, 2] each.
 
@@ -72,10 +99,7 @@ class Motions:
             centres: of the faces before the motion [m], shape [n, 2].
         """
         arm = points - centres[:, None]
-        cos, sin = np.cos(self.turn)[:, None], np.sin(self.turn)[:, None]
-        turned = np.stack(
-            (cos * arm[..., 0] - sin * arm[..., 1], sin * arm[..., 0] + cos * arm[..., 1]), axis=-1
-        )
+        turned = self._turned(arm)
         lever = np.stack((-turned[..., 1], turned[..., 0]), axis=-1)
         c = self.covariance[:, None, :3, :3]
         variance = np.stack(
@@ -98,6 +122,7 @@ def fit_motions(
     point_sigma_m: Array,
     tolerance_m: float,
     moved_m: Array,
+    may_come_out: Flags | None = None,
 ) -> Motions:
     """Fits the motion of every face to its points.
 
@@ -110,6 +135,8 @@ def fit_motions(
         point_sigma_m: least standard deviation of a point of each face [m], shape [n].
         tolerance_m: how far a point may be off and still agree, to begin with [m].
         moved_m: about how far each face moved: how far it may have come nearer grows with it, shape [n].
+        may_come_out: whose δ, ψ and χ may be large, if that explains what the points do, shape [n]; without it
+            nobody's, and that they might is not taken for an uncertainty.
     """
     count = len(before)
     looked: Flags = np.array(np.isfinite(before).all(axis=2), dtype=np.bool_)
@@ -123,10 +150,19 @@ def fit_motions(
     start[:, 0], start[:, 1], start[:, 2] = place.real, place.imag, turn
     seen = _Seen(p, shift, looked, found, centres, foot, distance, point_sigma_m, tolerance_m)
     held, held_off = _descended(seen, start, usual, usual)
+    if may_come_out is None:
+        return held
     free, free_off = _descended(seen, start, usual, np.broadcast_to(FREE, usual.shape))
     # To come nearer explains any noise a little better: it has to explain much.
     gain = (np.minimum(held_off, tolerance_m) ** 2 - np.minimum(free_off, tolerance_m) ** 2).sum(axis=1)
-    return held.replaced(free, gain > CLEARLY_BETTER * free.spread_m**2)
+    better = gain / (CLEARLY_BETTER * free.spread_m**2)
+    comes_out = (better > 1.0) & (free.share >= MOST_AGREE)
+    best = replace(held.replaced(free, comes_out & may_come_out), comes_out=comes_out)
+    # Of two explanations that fit alike, either may be true: half of what they differ by is a standard deviation.
+    apart = np.column_stack((free.centre - held.centre, free.turn - held.turn))
+    apart *= np.clip(better, 0.0, 1.0)[:, None]
+    best.covariance[:, :3, :3] += 0.25 * apart[:, :, None] * apart[:, None]
+    return best
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,6 +217,7 @@ def _descended(seen: _Seen, state: Array, usual: Array, first: Array) -> tuple[M
         spread_m=spread,
         used=used,
         share=used / np.maximum(seen.looked.sum(axis=1), 1),
+        comes_out=np.zeros(len(state), dtype=np.bool_),
     )
     return motions, np.where(seen.found, off, 0.0)
 

@@ -3,7 +3,9 @@
 A measured displacement is never larger than the standard's, but for its uncertainty: two components of three, four
 corners of eight, the packages in front. How much more the rest moved is a question of experience: ``UNSEEN_SHARE`` and
 ``UNSEEN_M`` are what covers 95 % of simulated loads on a EUR pallet that hold together. It widens the uncertainty
-upwards only.
+upwards only. Where the packages of the row that went farthest all peaked alike, the rows behind them did so too: of 7
+such tests (29 mm to 110 mm, but of three loads only) none peaked more than 1.0 mm farther out of sight.
+What lies askew at the end does not follow this: it goes for peaks only.
 """
 
 from collections.abc import Sequence
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from config.scene import Scene
 from sim_core.camera.layout import near_face
 from sim_core.frames import Array, RuleState
-from sim_core.judge import BAND_COUNT, TIE_M, Verdict, verdict_of
+from sim_core.judge import BAND_COUNT, SAME_LAYER_M, TIE_M, Verdict, verdict_of
 from sim_core.vision.faces import Face
 
 if TYPE_CHECKING:
@@ -25,6 +27,9 @@ if TYPE_CHECKING:
 COVERAGE = 2.0
 """Expanded over standard uncertainty: 95 % of a normal distribution."""
 UNSEEN_M, UNSEEN_SHARE = 2.5e-3, 0.03
+ALIKE_UNSEEN_M, ALIKE_UNSEEN_SHARE = 1.5e-3, 0.01
+ALIKE_SHARE, LEAST_ALIKE = 0.03, 3
+"""A row of at least so many packages peaks alike if their peaks differ by no more than this share of the largest."""
 REST_PICTURES, REST_M = 5, 1.0e-3
 """The load counts as resting when so many last pictures agree so well; they are averaged."""
 LONGEST_GAP, MOST_MISSING = 3, 0.25
@@ -123,7 +128,7 @@ def judged(
         _rule("permanent_on_pallet", "permanent displacement on the pallet", series.permanent(on_pallet),
               limits.base_permanent_m, series.is_end_known(on_pallet)),
         _rule("elastic", "elastic displacement of any part", series.elastic(everywhere),
-              limits.elastic_fraction * height, series.is_all_known()),
+              limits.elastic_fraction * height, series.is_all_known(), is_alike=series.is_alike()),
     ]  # fmt: skip
     if rules[2].state == "fail":
         # Packages behind may lie where they like once a load has come apart: none of its rules passes by sight.
@@ -219,6 +224,13 @@ class _Series:
                 return False
         return bool(run.max(initial=0) <= LONGEST_GAP)
 
+    def is_alike(self) -> bool:
+        """Whether the packages of the row that went farthest, side by side on one height, all peaked alike."""
+        peaks = np.where(self._seen, self._far, 0.0).max(axis=(0, 2))
+        top = self.heights.max(axis=1)
+        row = np.abs(top - top[peaks.argmax()]) < SAME_LAYER_M
+        return bool(row.sum() >= LEAST_ALIKE and np.ptp(peaks[row]) <= ALIKE_SHARE * peaks.max())
+
     def _named(self, far: float, sigma: float, time_s: float, row: int, corner: int) -> MeasuredDisplacement:
         return MeasuredDisplacement(
             worst_mm=1000.0 * float(far),
@@ -239,12 +251,19 @@ def _length(displacement: Array, sigma: Array) -> tuple[Array, Array]:
 
 
 def _rule(
-    rule: str, title: str, worst: MeasuredDisplacement | None, limit_m: float, is_known: bool
+    rule: str,
+    title: str,
+    worst: MeasuredDisplacement | None,
+    limit_m: float,
+    is_known: bool,
+    *,
+    is_alike: bool = False,
 ) -> RuleState:
     limit = 1000.0 * limit_m
     if worst is None:
         return RuleState(rule, title, "unresolved", limit, None, None)
-    unseen = 1000.0 * UNSEEN_M + UNSEEN_SHARE * worst.worst_mm
+    least, share = (ALIKE_UNSEEN_M, ALIKE_UNSEEN_SHARE) if is_alike else (UNSEEN_M, UNSEEN_SHARE)
+    unseen = 1000.0 * least + share * worst.worst_mm
     error = float(np.hypot(worst.error_mm, unseen))
     state: Literal["pass", "fail", "unresolved"] = "unresolved"
     if worst.worst_mm - worst.error_mm > limit:
