@@ -10,11 +10,12 @@ from config.scene import Scene
 from msgs_adapters.camera_payloads import Calibration, camera_info_payload, image_payload, jpeg_payload
 from msgs_adapters.cdr import serialize
 from msgs_adapters.colours import full_strain
-from msgs_adapters.convert import to_accel, to_diagnostics, to_imu, to_markers, to_odometry, to_string
+from msgs_adapters.convert import to_diagnostics, to_markers, to_string
 from msgs_adapters.film_mesh import film_mesh_payload
 from msgs_adapters.film_payloads import film_cloud_payload
 from msgs_adapters.pose_payloads import pose_array_payload
 from msgs_adapters.robot_description import robot_description
+from msgs_adapters.sled_payloads import accel_payload, imu_payload, odometry_payload
 from msgs_adapters.stamps import to_clock
 from msgs_adapters.topics import (
     CAMERA_COMPRESSED,
@@ -64,13 +65,13 @@ def sample_publications(sample: SledSample, scene: Scene) -> Iterator[Publicatio
     """The acceleration of every sample; clock and odometry of those that a pose frame falls on."""
     if sample.index % (scene.sampling.samples_hz // scene.sampling.poses_hz) == 0:
         yield Publication(CLOCK, sample.stamp_ns, serialize(to_clock(sample.stamp_ns)))
-        yield Publication(SLED_ODOMETRY, sample.stamp_ns, serialize(to_odometry(sample)))
-    yield Publication(SLED_ACCELERATION, sample.stamp_ns, serialize(to_accel(sample)))
+        yield Publication(SLED_ODOMETRY, sample.stamp_ns, odometry_payload(sample))
+    yield Publication(SLED_ACCELERATION, sample.stamp_ns, accel_payload(sample))
 
 
 def reading_publication(reading: AccelerometerSample) -> Publication:
     """An accelerometer reading."""
-    return Publication(SLED_ACCELEROMETER, reading.stamp_ns, serialize(to_imu(reading)))
+    return Publication(SLED_ACCELEROMETER, reading.stamp_ns, imu_payload(reading))
 
 
 def scene_publications(scene: Scene, stamp_ns: int) -> Iterator[Publication]:

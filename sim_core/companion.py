@@ -92,6 +92,9 @@ def companion_scenes(scene: Scene) -> list[Scene]:
     Pose frames become as many fewer as the step needs; nobody but the judge sees them.
     """
     candidates = []
+    if scene.wrap is not None and scene.wrap.coupling == "one_way":
+        # Film that only follows changes no displacement.
+        scene = scene.model_copy(update={"wrap": None})
     for factor, share in ((2.0, 0.5), (2.0, 1.0), (0.5, 2.0)):
         step_s = factor * scene.time_step_s
         iterations = max(1, round(share * scene.iterations))
