@@ -11,6 +11,7 @@ import typer
 from config.errors import PalletTwinError, RefusedInput
 from ros_nodes import output
 from ros_nodes.campaign import campaign, verify
+from ros_nodes.campaign_statistics import statistics
 from ros_nodes.rate import rate
 
 app = typer.Typer(
@@ -679,6 +680,7 @@ def scenes() -> None:
 
 
 app.command()(campaign)
+app.command()(statistics)
 app.command()(verify)
 
 

@@ -15,7 +15,7 @@ from sim_core.report import Report
 
 FORMAT = 1
 """Version of label rows on disk; raise it when a field or its meaning changes."""
-RULES = ("permanent", "permanent_on_pallet", "elastic", "damage")
+RULES = ("permanent", "permanent_on_pallet", "elastic", "damage", "layers")
 FACTOR = "factor."
 """What the columns of drawn factors begin with."""
 
@@ -179,7 +179,7 @@ def label_of(
         estimate_problem=estimate_problem,
         ended_by=numerics["ended_by"],
         engine=numerics["engine"],
-        time_step_s=numerics["time_step_s"],
+        time_step_s=numerics["smallest_step_s"],
         penetration_mm=numerics["max_penetration_mm"],
         energy_residual=numerics["energy_residual"],
         simulated_s=numerics["simulated_s"],

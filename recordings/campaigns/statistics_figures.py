@@ -110,7 +110,7 @@ def margin_figure(labels: Sequence[Label], rules: Sequence[str]) -> str:
     edges = np.linspace(0.0, 250.0, 26)
     with drawing_settings():
         figure = Figure(figsize=(WIDTH_IN, 2.8))
-        box = {"left": 0.065, "right": 0.985, "top": 0.82, "bottom": 0.17, "wspace": 0.16}
+        box = {"left": 0.065, "right": 0.985, "top": 0.82, "bottom": 0.17, "wspace": 0.22}
         panels = figure.subplots(1, len(rules), gridspec_kw=box, squeeze=False)[0]
         for axes, rule in zip(panels, rules, strict=True):
             own = [(label, limit) for label in labels if (limit := limit_mm(label, rule))]
@@ -148,7 +148,7 @@ def error_figure(labels: Sequence[Label], rules: Sequence[str]) -> str:
 
     with drawing_settings():
         figure = Figure(figsize=(WIDTH_IN, 3.2))
-        box = {"left": 0.065, "right": 0.985, "top": 0.91, "bottom": 0.14, "wspace": 0.08}
+        box = {"left": 0.065, "right": 0.985, "top": 0.84, "bottom": 0.14, "wspace": 0.08}
         panels = figure.subplots(1, len(rules), sharex=True, sharey=True, gridspec_kw=box, squeeze=False)[0]
         for axes, rule in zip(panels, rules, strict=True):
             own = [label for label in labels if rule in label.error_mm and rule in label.margin_mm]
@@ -161,7 +161,7 @@ def error_figure(labels: Sequence[Label], rules: Sequence[str]) -> str:
                 )
             axes.set_xscale("log")
             axes.set_yscale("log")
-            axes.axline((1.0, 1.0), slope=1.0, color=INK, linewidth=1.0, linestyle=(0, (4, 2)))
+            axes.axline((1.0, 1.0), (10.0, 10.0), color=INK, linewidth=1.0, linestyle=(0, (4, 2)))
             axes.set_title(rule.replace("_", " "))
             axes.set_xlabel("distance from the limit [mm]")
             axes.grid(True, color=GRID, linewidth=0.5)
@@ -204,10 +204,10 @@ def numerics_figure(labels: Sequence[Label], limit_residual: float) -> str:
             axes.set_xscale("log")
             axes.grid(True, color=GRID, linewidth=0.5)
             axes.set_ylim(0.0, 104.0)
-            _plain(axes, only_x=True)
+            _plain(axes, "x")
         panels[1].axvline(100.0 * limit_residual, color=BAD, linewidth=1.0, linestyle=(0, (4, 2)))
         panels[0].set_xlabel("deepest contact of a test [mm]")
-        panels[1].set_xlabel("energy from nowhere [% of what was put in]; dashed: a monitor's threshold")
+        panels[1].set_xlabel("energy from nowhere [% of what was put in]")
         panels[0].set_ylabel("tests [%]")
         panels[0].legend(loc="lower right", framealpha=0.85)
         return svg_text(figure, "Deepest contacts and energy residuals of the tests", "campaign-numerics")
@@ -226,9 +226,9 @@ def cost_figure(labels: Sequence[Label], costs: Mapping[int, Cost], restraint: G
             packages = np.array([float(label.packages) for label in tests])
             walls = np.array([costs[label.number].wall_s for label in tests])
             _binned_marks(axes, packages, walls, BANDS[place], _MARKS[place])
-        axes.set_xscale("log")
+        axes.set_xlim(left=0.0)
         axes.set_yscale("log")
-        _plain(axes)
+        _plain(axes, "y")
         axes.grid(True, color=GRID, linewidth=0.5)
         axes.set_xlabel("packages")
         axes.set_ylabel("wall time of a test [s]")
@@ -260,16 +260,15 @@ def _binned_marks(axes: "Axes", xs: Array, ys: Array, colour_: str, mark: str) -
     )
 
 
-def _plain(axes: "Axes", *, only_x: bool = False) -> None:
-    """Powers of ten as plain numbers; marks between them where there is less than two decades."""
+def _plain(axes: "Axes", which: str = "xy") -> None:
+    """Powers of ten as plain numbers, with marks at 2 and 5 where there are few of them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
-        if only_x and axis is axes.yaxis:
-            continue
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 200.0 * low else (1.0,)))
-        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        axis.set_minor_formatter(NullFormatter())
+    for name, axis, (low, high) in (("x", axes.xaxis, axes.get_xlim()), ("y", axes.yaxis, axes.get_ylim())):
+        if name in which:
+            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 200.0 * low else (1.0,)))
+            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            axis.set_minor_formatter(NullFormatter())
 
 
 def _whole_ticks(axes: "Axes", which: str) -> None:

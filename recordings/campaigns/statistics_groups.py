@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -23,7 +24,15 @@ TITLES = {
     "wrap.material": "Film",
     "sled.level_g": "Level [g]",
     "sled.direction": "Direction of travel",
+    "sled.plateau_s": "Time at the level [s]",
+    "sled.deceleration_g": "Braking [g]",
     "mass_factor": "Mass factor",
+    "force_fields.tension": "Tension of the force fields",
+    "wrap.turns.bottom": "Turns of film at the foot",
+    "wrap.turns.middle": "Passes of film over the height",
+    "wrap.turns.top": "Turns of film at the head",
+    "wrap.pre_stretch": "Pre-stretch of the film",
+    "wrap.wrap_force_n": "Wrapping force [N]",
 }
 _NO_FILM = "no film"
 _ValueOf = Callable[[Label], str | None]
@@ -97,7 +106,13 @@ def bin_edges(values: Values) -> tuple[float, ...] | None:
     if high <= low or (values.whole and high - low < MOST_VALUES):
         return None
     spaced = np.geomspace if values.scale == "log" else np.linspace
-    return tuple(float(f"{edge:.4g}") for edge in spaced(low, high, BINS + 1))
+    edges = spaced(low, high, BINS + 1)
+    # As short as they can be without two becoming one.
+    for digits in (3, 6):
+        rounded = tuple(float(f"{edge:.{digits}g}") for edge in edges)
+        if all(one < other for one, other in pairwise(rounded)):
+            return rounded
+    return tuple(map(float, edges))
 
 
 def _drawn(campaign: Campaign) -> dict[str, Values]:
