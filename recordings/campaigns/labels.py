@@ -15,7 +15,8 @@ from sim_core.report import Report
 
 FORMAT = 1
 """Version of label rows on disk; raise it when a field or its meaning changes."""
-RULES = ("permanent", "permanent_on_pallet", "elastic", "damage", "layers")
+RULES = ("permanent", "permanent_on_pallet", "elastic", "damage")
+"""Those of the standard; ``layers`` is there where a scene sets its limit."""
 FACTOR = "factor."
 """What the columns of drawn factors begin with."""
 
@@ -101,7 +102,7 @@ class Label:
         plain = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in mapped}
         rules = {
             f"{rule}.{name}": getattr(self, what).get(rule)
-            for rule in RULES
+            for rule in (*RULES, *(["layers"] if "layers" in self.states else []))
             for name, what in (
                 ("state", "states"), ("worst_mm", "worst_mm"), ("margin_mm", "margin_mm"), ("error_mm", "error_mm"),
             )

@@ -20,6 +20,7 @@ from sim_core.camera.layout import Side, facing_packages, near_face, side_of
 from sim_core.frames import Array
 from sim_core.geometry import rotation_matrices, yaw_quaternion
 from sim_core.vision.plane import Sight, undistorted
+from sim_core.vision.spots import Spots, block_found, block_spots, spots_found, strong_spots
 
 Grey = NDArray[np.uint8]
 Flags = NDArray[np.bool_]
@@ -28,17 +29,10 @@ MOST_POINTS = 24
 _POOL_POINTS = 96
 ASTRAY_PICTURES = 2
 """A point that disagrees with its face in so many pictures in a row gives way to another."""
-_MOST_BLOCKS, _BLOCK_PX, _BLOCK_REACH_PX, _LEAST_BLOCK_MATCH = 24, 37, 8, 0.5
-_LEAST_CONTRAST, _LEAST_PEAK = 4.0, 0.06
-"""A block is looked for if its grey values vary so much; it is found if it matches so much less two pixels off."""
+_MOST_BLOCKS = 24
 MOST_TILE_PIXELS = 5.0e5
-_APART, _POOL_APART = 0.11, 0.05
-"""Of a face's shorter edge: so far points are from each other that are followed first, and all others."""
 _MARGIN_PX = 12
-_WINDOW_PX = 15
 _AROUND_PX = 25
-_RETURN_PX = 0.5
-"""A point that is followed there and back must come home to so near."""
 COARSE = 4
 """How many times smaller a picture is made to look for a lost face."""
 
@@ -146,8 +140,8 @@ class FaceTracker:
         self._taken = 0
         self._plain: Grey = np.zeros(self._shape, np.uint8)
         self._reference = self._plain
-        self._pool = _Spots(len(faces), _POOL_POINTS)
-        self._blocks = _Spots(len(faces), _MOST_BLOCKS)
+        self._pool = Spots(len(faces), _POOL_POINTS)
+        self._blocks = Spots(len(faces), _MOST_BLOCKS)
         # Which of the pool are followed; in how many pictures in a row each went astray, and in how many in all.
         self._followed = np.tile(np.arange(MOST_POINTS), (len(faces), 1))
         self._astray = np.zeros((len(faces), _POOL_POINTS), dtype=int)
@@ -220,19 +214,7 @@ class FaceTracker:
         after = np.full((len(chosen), MOST_POINTS, 2), np.nan)
         if not len(start):
             return after
-        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 20, 0.01)
-        window = (_WINDOW_PX, _WINDOW_PX)
-        there, went, _ = cv2.calcOpticalFlowPyrLK(
-            self._reference, mosaic, start, start.copy(), winSize=window, maxLevel=3, criteria=criteria,
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        )  # fmt: skip
-        back, came, _ = cv2.calcOpticalFlowPyrLK(
-            mosaic, self._reference, there, start.copy(), winSize=window, maxLevel=1, criteria=criteria,
-            flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
-        )  # fmt: skip
-        off = np.linalg.norm(back - start, axis=1)
-        good = (went.ravel() > 0) & (came.ravel() > 0) & (off < _RETURN_PX)
-        spots: Array = np.where(good[:, None], np.asarray(there, dtype=np.float64), np.nan)
+        spots = spots_found(self._reference, mosaic, start)
         owner = np.nonzero(known)[0]
         after[known] = self._places(spots, owner, depths[known], chosen, homographies, sight, travel_m)
         return after
@@ -245,7 +227,7 @@ class FaceTracker:
         mosaic = self._evened(mosaic)
         known = np.isfinite(self._blocks.pixels[chosen]).all(axis=2)
         start = self._blocks.pixels[chosen][known]
-        there = np.array([_block_found(self._reference, mosaic, x, y) for x, y in start.astype(int).tolist()])
+        there = np.array([block_found(self._reference, mosaic, x, y) for x, y in start.astype(int).tolist()])
         after = np.full((len(chosen), _MOST_BLOCKS, 2), np.nan)
         if len(there):
             depths, owner = self._blocks.depths[chosen][known], np.nonzero(known)[0]
@@ -342,11 +324,11 @@ class FaceTracker:
         for number in range(len(self._faces)):
             x, y, w, h = self._tiles[number]
             tile = np.ascontiguousarray(self._reference[y : y + h, x : x + w])
-            apart, between = _strong_spots(tile)
+            apart, between = strong_spots(tile, (2 * MOST_POINTS, _POOL_POINTS), margin_px=_MARGIN_PX)
             for spots, found, first, last in (
                 (self._pool, apart, 0, MOST_POINTS),
                 (self._pool, between, MOST_POINTS, _POOL_POINTS),
-                (self._blocks, _block_spots(tile), 0, _MOST_BLOCKS),
+                (self._blocks, block_spots(tile, margin_px=_MARGIN_PX), 0, _MOST_BLOCKS),
             ):
                 pixels = _mapped(found, np.broadcast_to(homographies[number], (len(found), 3, 3)))
                 rays = undistorted(pixels, sight.view.matrix, sight.view.distortion)
@@ -368,69 +350,6 @@ class FaceTracker:
                 low, high = outline.min(axis=0) - 0.02, outline.max(axis=0) + 0.02
                 hidden |= ((places > low) & (places < high)).all(axis=1)
         return hidden
-
-
-class _Spots:
-    """Places on the faces as they stood: pixels of the mosaic, undistorted rays, and depths [m]; NaN for none."""
-
-    def __init__(self, faces: int, most: int) -> None:
-        self.pixels = np.full((faces, most, 2), np.nan)
-        self.rays = np.full((faces, most, 2), np.nan)
-        self.depths = np.zeros((faces, most))
-
-
-def _strong_spots(tile: Grey) -> tuple[Array, Array]:
-    """Corners in a tile [px], shape [n, 2] each: some far apart, and others between them, the strongest first."""
-    h, w = tile.shape
-    mask = np.zeros((h, w), np.uint8)
-    inset = _MARGIN_PX + min(6, w // 12, h // 12)
-    mask[inset : h - inset, inset : w - inset] = 255
-    found = []
-    for share, count in ((_APART, 2 * MOST_POINTS), (_POOL_APART, _POOL_POINTS)):
-        apart = max(5.0, share * min(w, h))
-        strong = cv2.goodFeaturesToTrack(tile, count, 0.005, apart, mask=mask, blockSize=7)
-        spots = np.zeros((0, 2)) if strong is None else strong.reshape(-1, 2).astype(float)
-        for spot in spots:
-            cv2.circle(mask, np.round(spot).astype(int).tolist(), round(apart), 0, cv2.FILLED)
-        found.append(spots)
-    return found[0], found[1]
-
-
-def _block_spots(tile: Grey) -> Array:
-    """Middles of blocks in a tile that show something [px], shape [n, 2]; those that show most come first."""
-    h, w = tile.shape
-    half, found = _BLOCK_PX // 2, []
-    across, down = w - 2 * (_MARGIN_PX + half), h - 2 * (_MARGIN_PX + half)
-    if across < 1 or down < 1:
-        return np.zeros((0, 2))
-    first = _MARGIN_PX + half
-    for y in np.linspace(first, h - 1 - first, 1 + -(-down // half)).astype(int):
-        for x in np.linspace(first, w - 1 - first, 1 + -(-across // half)).astype(int):
-            block = tile[y - half : y + half + 1, x - half : x + half + 1]
-            found.append((float(block.std()), float(x), float(y)))
-    shown = sorted((entry for entry in found if entry[0] > _LEAST_CONTRAST), reverse=True)
-    return np.array([entry[1:] for entry in shown]).reshape(-1, 2)
-
-
-def _block_found(reference: Grey, mosaic: Grey, x: int, y: int) -> tuple[float, float]:
-    """Where the block around a pixel of the reference is in a mosaic [px]; NaN where nothing matches it alone."""
-    half, reach = _BLOCK_PX // 2, _BLOCK_REACH_PX
-    wanted = reference[y - half : y + half + 1, x - half : x + half + 1]
-    around = half + reach
-    low = max(x - around, 0), max(y - around, 0)
-    searched = mosaic[low[1] : y + around + 1, low[0] : x + around + 1]
-    score = cv2.matchTemplate(searched, wanted, cv2.TM_CCOEFF_NORMED)
-    _, best, _, (column, row) = cv2.minMaxLoc(score)
-    height, width = score.shape
-    if best < _LEAST_BLOCK_MATCH or not (2 <= column < width - 2 and 2 <= row < height - 2):
-        return float("nan"), float("nan")
-    off = []
-    for line in (score[row, column - 2 : column + 3], score[row - 2 : row + 3, column]):
-        if best - max(float(line[0]), float(line[4])) < _LEAST_PEAK:
-            return float("nan"), float("nan")
-        # The vertex of the parabola through the three highest.
-        off.append(0.5 * float(line[1] - line[3]) / float(line[1] - 2.0 * line[2] + line[3]))
-    return low[0] + half + column + off[0], low[1] + half + row + off[1]
 
 
 def _on_face(rays: Array, sight: Sight, face: Face) -> Array:

@@ -7,9 +7,9 @@ import pytest
 from config.errors import RefusedInput
 from sim_core.camera.print import quadrant_target
 from sim_core.camera.view import view_of
-from sim_core.vision.faces import _block_found
 from sim_core.vision.motion import fit_motions
 from sim_core.vision.plane import SightFinder, undistorted
+from sim_core.vision.spots import block_found
 from sim_core.vision.targets import TargetTracker, find_targets, refined
 from tests.sim_core.vision_scenes import stack_scene
 
@@ -197,6 +197,6 @@ def test_a_block_is_found_again_to_a_tenth_of_a_pixel_and_not_where_nothing_is_l
     moved = cv2.warpAffine(reference, matrix, (90, 90), flags=cv2.INTER_CUBIC)
     # A gleam over a tenth of it.
     moved[30:80, 44:49] = cv2.add(moved[30:80, 44:49], 60)
-    assert _block_found(reference, moved, 45, 45) == pytest.approx((48.4, 42.7), abs=0.15)
+    assert block_found(reference, moved, 45, 45) == pytest.approx((48.4, 42.7), abs=0.15)
     other = rng.uniform(0.0, 255.0, (90, 90)).astype(np.uint8)
-    assert np.isnan(_block_found(reference, other, 45, 45)).all()
+    assert np.isnan(block_found(reference, other, 45, 45)).all()
