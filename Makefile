@@ -9,7 +9,7 @@ help:
 	@echo "make demo   run one EUMOS test of a palletised load: verdict, report, recording"
 	@echo "make test   set up the tools and run every test"
 	@echo "make lint   ruff, mypy and the import contract"
-	@echo "make bench  error against run time, stability, engine agreement, cost of the parts, pictures, into runs/ (100 minutes)"
+	@echo "make bench  error against run time, stability, engine agreement, pictures, campaigns, cost of the parts, into runs/ (two hours)"
 	@echo "make clean  remove .venv and caches; runs/ stays"
 
 setup: $(VENV)/.main
@@ -45,6 +45,7 @@ bench: setup-dev
 	$(BIN)/pallet-twin agreement --out runs/agreement
 	$(BIN)/pallet-twin sight --out runs/sight
 	$(BIN)/pallet-twin sheet --out runs/sheet.jpg
+	$(BIN)/pallet-twin scaling paper
 	$(BIN)/pallet-twin parts eur_columns --set sled.level_g=0.2 --out runs/parts
 
 clean:

@@ -275,3 +275,50 @@ def verify(
                 )
     if not found.holds:
         raise typer.Exit(3)
+
+
+def scaling(
+    file: Annotated[str, typer.Argument(metavar="FILE", help="A campaign file, or a shipped one.")] = "paper",
+    tests: Annotated[
+        int, typer.Option(min=16, max=4096, help="How many of its tests, a multiple of 16.")
+    ] = 32,
+    workers: Annotated[
+        int, typer.Option(min=2, max=1024, help="Tests at once, where there are several.")
+    ] = 2,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")
+    ] = False,
+) -> None:
+    """Measure what running a campaign costs beside its tests: one process, several, and Ray where it is installed.
+
+    All run the same tests in turn, so compare the ratios: the machine should have as many free cores as workers.
+    """
+    from importlib.util import find_spec
+
+    from recordings.campaigns.scaling import as_entry, measure_scaling
+    from ros_nodes.output import counter
+
+    if tests % 16:
+        raise RefusedInput("--tests", tests, "must be a multiple of 16")
+    path = find_campaign(file)
+    own = read_campaign(path)
+    with counter("tests", quiet=as_json) as count:
+        rows = measure_scaling(
+            own,
+            path.parent,
+            tests=tests,
+            workers=workers,
+            with_ray=find_spec("ray") is not None,
+            on_progress=count,
+        )
+    entries = [as_entry(row, rows[0]) for row in rows]
+    if as_json:
+        print(json.dumps(entries, indent=1))
+        return
+    print(f"{'':20}{'tests a minute':>16}{'times one':>12}{'beside tests':>14}{'growth':>8}  bytes")
+    for entry in entries:
+        print(
+            f"{entry['hands']:20}{entry['tests_a_minute']:16.2f}{entry['times_one_process']:12.2f}"
+            f"{100.0 * entry['beside_the_tests']:12.1f} %{entry['growth']:8.2f}"
+            f"  {'the same' if entry['same_bytes'] else 'OTHERS'}"
+        )

@@ -10,7 +10,7 @@ import typer
 
 from config.errors import PalletTwinError, RefusedInput
 from ros_nodes import output
-from ros_nodes.campaign import campaign, verify
+from ros_nodes.campaign import campaign, scaling, verify
 from ros_nodes.campaign_statistics import statistics
 from ros_nodes.rate import rate
 
@@ -682,6 +682,7 @@ def scenes() -> None:
 app.command()(campaign)
 app.command()(statistics)
 app.command()(verify)
+app.command()(scaling)
 
 
 @app.callback(invoke_without_command=True)
