@@ -179,10 +179,18 @@ def report_json(report: Report, *, compact: bool = False) -> str:
     )  # fmt: skip
 
 
-def versions() -> dict[str, str]:
-    """Versions of everything that a result depends on."""
+PICTURED = ("mujoco", "vtk", "opencv-python-headless", "av", "numba", "scipy")
+"""What pictures, film and draws depend on besides."""
+
+
+def versions(more: Sequence[str] = ()) -> dict[str, str]:
+    """Versions of everything that a result depends on.
+
+    Args:
+        more: further packages that it depends on.
+    """
     found = {"python": platform.python_version(), "platform": f"{platform.system()} {platform.machine()}"}
-    for name in ("pallet-twin", "numpy", "pybullet", "pydantic"):
+    for name in ("pallet-twin", "numpy", "pybullet", "pydantic", *more):
         try:
             found[name] = version(name)
         except PackageNotFoundError:

@@ -90,7 +90,7 @@ class Drafts:
                 self._paths[load.file] = _find(load.file, base)
                 self._layers[load.file] = self._layers_of(load)
             except RefusedInput as error:
-                self.bad_loads[load.file] = str(error)
+                self.bad_loads[load.file] = f"{load.file}: {error}"
         if len(self.bad_loads) == len(campaign.loads):
             raise RefusedInput("loads", f"{len(campaign.loads)} files", next(iter(self.bad_loads.values())))
         self._points: list[np.ndarray[Any, Any]] = []

@@ -105,7 +105,7 @@ def run_campaign(
         run.all_rounds()
     finally:
         # Also what was done until an interrupt is in the tables.
-        folder.write_tables()
+        _write_tables(folder)
     return run.standing()
 
 
@@ -140,7 +140,7 @@ class _Run:
                 is_checked = True
             made = self._round(numbers, size)
             self._kept += sorted(made)
-            self._folder.write_tables()
+            _write_tables(self._folder)
             if len(made) < size:
                 break
 
@@ -181,6 +181,8 @@ class _Run:
                 if number in self._folder.labels:
                     made.add(number)
                     continue
+                if number in self._folder.refused:
+                    continue
                 draft = self._drafts.draft(number)
                 if not isinstance(draft, Draft):
                     self._refuse(number, draft.factors, draft.reason)
@@ -191,6 +193,8 @@ class _Run:
             self._tell()
             for done in self._workers.finished(WAIT_S) if on_the_way else ():
                 draft = on_the_way.pop(done.number)
+                if done.has_no_room:
+                    raise DiskFull(done.refused or "no space left")
                 if done.refused is not None:
                     self._refuse(done.number, draft.factors, done.refused)
                     continue
@@ -212,11 +216,7 @@ class _Run:
         try:
             self._folder.keep(done)
         except OSError as error:
-            if error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise DiskFull(f"no space left in {self._folder.path}") from None
-            raise RefusedInput(
-                "--out", str(self._folder.path), error.strerror or "cannot be written"
-            ) from None
+            raise _unwritable(self._folder, error) from None
         self._new += 1
         limit = 1.0e9 * self._campaign.disk_gb
         if self._folder.bag_bytes > limit:
@@ -253,6 +253,19 @@ class _Run:
     def _tell(self) -> None:
         if self._on_progress is not None:
             self._on_progress(self.standing())
+
+
+def _write_tables(folder: CampaignFolder) -> None:
+    try:
+        folder.write_tables()
+    except OSError as error:
+        raise _unwritable(folder, error) from None
+
+
+def _unwritable(folder: CampaignFolder, error: OSError) -> PalletTwinError:
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return DiskFull(f"no space left in {folder.path}")
+    return RefusedInput("--out", str(folder.path), error.strerror or "cannot be written")
 
 
 def _expected_bytes(drafts: Drafts) -> float:

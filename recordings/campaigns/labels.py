@@ -92,9 +92,8 @@ class Label:
 
     def to_json(self) -> str:
         """The row as JSON, the same bytes for the same row."""
-        return json.dumps(
-            {"format": FORMAT, **asdict(self)}, sort_keys=True, ensure_ascii=False, allow_nan=False
-        )
+        # In the order of the factors, which is that of a table's columns.
+        return json.dumps({"format": FORMAT, **asdict(self)}, ensure_ascii=False, allow_nan=False)
 
     def row(self) -> dict[str, Any]:
         """The row as a table holds it: factors and rules in columns of their own."""

@@ -1,5 +1,6 @@
 """One test of a campaign, from its scene to its bag and its label row, in any process on any machine."""
 
+import errno
 import hashlib
 import os
 import tempfile
@@ -61,13 +62,17 @@ class Cost:
 
 @dataclass(frozen=True)
 class Done:
-    """A finished test: its label, its cost and the files of its bag by name; or the reason why there is none."""
+    """A finished test: its label, its cost and the files of its bag by name; or the reason why there is none.
+
+    ``has_no_room`` says that the reason is a full disk where the worker runs: nothing of the test's own.
+    """
 
     number: int
     label: Label | None
     cost: Cost | None
     bag: Mapping[str, bytes]
     refused: str | None = None
+    has_no_room: bool = False
 
 
 def run_one(task: Task) -> Done:
@@ -87,6 +92,12 @@ def run_one(task: Task) -> Done:
             files = {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
     except PalletTwinError as error:
         return Done(task.number, None, None, {}, str(error))
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        return Done(
+            task.number, None, None, {}, f"no space left in {tempfile.gettempdir()}", has_no_room=True
+        )
     report = full_report(
         test.judged, scene, physics=test.result.physics, findings=test.result.findings, estimate=estimate,
         wall_s=test.result.wall_s, mode="campaign", why=why,

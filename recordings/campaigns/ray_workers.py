@@ -17,6 +17,7 @@ REACHED_S = 5.0
 ANSWERED_S = 20.0
 """Ray itself asks a dead address for minutes."""
 _PROBE = "import ray, sys; ray.init(address=sys.argv[1], logging_level='ERROR', log_to_driver=False)"
+_NO_CODE = "failed to import on the worker"
 
 
 class RayWorkers:
@@ -55,7 +56,7 @@ class RayWorkers:
         """See ``Workers``.
 
         Raises:
-            RefusedInput: a node has other versions than this machine.
+            RefusedInput: a node has no pallet-twin, or other versions than this machine.
         """
         if not self._tasks:
             return []
@@ -74,7 +75,12 @@ class RayWorkers:
         try:
             found: Done | str = self._ray.get(reference)
         except self._ray.exceptions.RayTaskError as error:
-            return given_up(task, f"{type(error.cause).__name__}: {error.cause}")
+            told = str(error.cause).strip().split("\n")
+            if _NO_CODE in told[0]:
+                raise RefusedInput(
+                    "--address", self._address, f"a node has no pallet-twin: {told[-1]}; install it there"
+                ) from None
+            return given_up(task, f"{type(error.cause).__name__}: {told[-1]}")
         except self._ray.exceptions.RayError as error:
             return given_up(task, str(error).split("\n")[0])
         if isinstance(found, str):
@@ -99,9 +105,9 @@ def _run(task: Task, wanted: dict[str, str]) -> Done | str:
 
 
 def _versions() -> dict[str, str]:
-    from sim_core.report import versions
+    from sim_core.report import PICTURED, versions
 
-    return versions()
+    return versions(PICTURED)
 
 
 def _connected(address: str | None, count: int) -> Any:
@@ -120,7 +126,7 @@ def _connected(address: str | None, count: int) -> Any:
     except ModuleNotFoundError:
         raise RefusedInput(
             "--address",
-            address or "",
+            address or "this machine",
             "needs Ray, which is not installed: pip install 'pallet-twin[cluster]'",
         ) from None
     if address is None:

@@ -13,14 +13,15 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Self
+from typing import Any, Self
 
 from config.campaign import Campaign
 from config.errors import BrokenRecording, RefusedInput
 from recordings.campaigns.drafts import Factors, RefusedDraft
 from recordings.campaigns.labels import Label, label_from_json, label_table, table_of, write_parquet
 from recordings.campaigns.one_test import Cost, Done
-from sim_core.report import versions
+from recordings.campaigns.workers import GIVEN_UP
+from sim_core.report import PICTURED, versions
 
 FORMAT = 1
 """Version of the folder; raise it when its layout changes."""
@@ -52,7 +53,7 @@ class CampaignFolder:
             raise RefusedInput("--out", str(out), error.strerror or "cannot be used") from None
         self.labels: dict[int, Label] = {}
         self.costs: dict[int, Cost] = {}
-        self.refused: dict[int, RefusedDraft] = {}
+        self.refused: dict[int, RefusedDraft] = self._given_up()
         for folder in sorted(self._tests.iterdir()):
             if folder.name.startswith("."):
                 shutil.rmtree(folder, ignore_errors=True)
@@ -104,19 +105,37 @@ class CampaignFolder:
         refused = [asdict(self.refused[number]) for number in sorted(self.refused)]
         _write(self.path / "refused.json", json.dumps(refused, indent=1, ensure_ascii=False))
 
+    def _given_up(self) -> dict[int, RefusedDraft]:
+        """Tests that no worker brought to an end: another draw has taken their place, so they stay as they are."""
+        try:
+            found = json.loads((self.path / "refused.json").read_text(encoding="utf-8"))
+            drafts = [RefusedDraft(**entry) for entry in found]
+        except (OSError, ValueError, TypeError):
+            return {}
+        return {draft.number: draft for draft in drafts if draft.reason.startswith(GIVEN_UP)}
+
     def _claim(self, campaign: Campaign) -> None:
         self.path.mkdir(parents=True, exist_ok=True)
         own = self.path / "campaign.json"
-        if not own.is_file() and any(entry.name not in (".lock",) for entry in self.path.iterdir()):
+        # What a run leaves that ends while it makes the folder.
+        begun = (".lock", f"{own.name}.part")
+        if not own.is_file() and any(entry.name not in begun for entry in self.path.iterdir()):
             raise RefusedInput(
                 "--out", str(self.path), "holds something else than a campaign; name another folder"
             )
         self._lock = (self.path / ".lock").open("w")
         try:
+            self._hold(own, campaign)
+        except (OSError, RefusedInput):
+            self._lock.close()
+            raise
+
+    def _hold(self, own: Path, campaign: Campaign) -> None:
+        try:
             fcntl.flock(self._lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise RefusedInput("--out", str(self.path), "is in use by another run of the campaign") from None
-        told = {"format": FORMAT, "campaign": json.loads(campaign.to_json()), "versions": versions()}
+        told = {"format": FORMAT, "campaign": json.loads(campaign.to_json()), "versions": versions(PICTURED)}
         if own.is_file():
             self._require_same(own, told)
         else:
@@ -128,6 +147,7 @@ class CampaignFolder:
             found = json.loads(own.read_text(encoding="utf-8"))
         except ValueError:
             found = {}
+        found, told = _what_tests_depend_on(found), _what_tests_depend_on(told)
         for part, limit in (
             ("format", "was written by another version; name another folder"),
             (
@@ -136,7 +156,7 @@ class CampaignFolder:
             ),
             ("versions", "was begun with other versions, which may give other bytes; name another folder"),
         ):
-            if found.get(part) != told[part]:
+            if found.get(part) != told.get(part):
                 raise RefusedInput("--out", str(self.path), limit)
 
     def _take(self, folder: Path) -> None:
@@ -180,6 +200,14 @@ def read_labels(out: Path) -> list[Label]:
             "campaign", str(out), "has no finished test yet; pallet-twin campaign goes on with it"
         )
     return [label_from_json(path.read_text(encoding="utf-8"), str(path)) for path in found]
+
+
+def _what_tests_depend_on(told: Any) -> dict[str, Any]:
+    """Without the room on the disk, which can be raised while a campaign goes on."""
+    if not isinstance(told, dict) or not isinstance(told.get("campaign"), dict):
+        return {}
+    campaign = {key: value for key, value in told["campaign"].items() if key != "disk_gb"}
+    return {**told, "campaign": campaign}
 
 
 def _write(path: Path, text: str) -> None:

@@ -13,6 +13,8 @@ from recordings.campaigns.one_test import Done, Task, run_one
 
 TRIES = 3
 """A test whose worker dies so many times is given up."""
+GIVEN_UP = "given up"
+"""What the reason of such a test begins with."""
 TESTS_A_WORKER = 100
 """Then a fresh process takes over, so that nothing that a library keeps can pile up."""
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "LP")}
@@ -131,7 +133,7 @@ class ProcessWorkers:
 
 def given_up(task: Task, why: str) -> Done:
     """A test that no worker brought to an end."""
-    return Done(task.number, None, None, {}, f"given up after {TRIES} tries: {why}")
+    return Done(task.number, None, None, {}, f"{GIVEN_UP} after {TRIES} tries: {why}")
 
 
 def _work(pipe: Connection) -> None:

@@ -4,6 +4,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -79,7 +80,7 @@ class PlanTurn:
         _, _, s, c = yaw_quaternion(self.degrees)
         return np.stack([c * x - s * y, c * y + s * x, c * z + s * w, c * w - s * z], axis=1)
 
-    @property
+    @cached_property
     def _matrix(self) -> Array:
         """Rows are frame ``sled``'s axes in the engine's frame; a quarter turn is exact."""
         x, y = direction_vector(self.degrees)
@@ -164,6 +165,7 @@ class BulletEngine:
             for row, body in enumerate(bodies)
             if body is not None and (row > 0 or self._pallet_moves)
         ]
+        self._rows = np.array([row for row, _ in self._moving], dtype=int)
 
     def _starting_poses(self, scene: Scene) -> tuple[Array, Array]:
         positions = np.array([self._still_pallet, *(package.position_m for package in scene.packages)])
@@ -227,14 +229,13 @@ class BulletEngine:
         """See ``RigidEngine.poses``."""
         if self._state is None:
             positions, orientations = self._start[0].copy(), self._start[1].copy()
-            for row, body in self._moving:
-                positions[row], orientations[row] = p.getBasePositionAndOrientation(
-                    body, physicsClientId=self._client
-                )
-            if self._turn:
-                rows = [row for row, _ in self._moving]
-                positions[rows] = self._turn.to_sled(positions[rows])
-                orientations[rows] = self._turn.orientations_to_sled(orientations[rows])
+            if self._moving:
+                # One array of all numbers: a row at a time takes three times as long.
+                client, get = self._client, p.getBasePositionAndOrientation
+                read = [get(body, physicsClientId=client) for _, body in self._moving]
+                state = np.array([(*place, *turn) for place, turn in read])
+                positions[self._rows] = self._turn.to_sled(state[:, :3])
+                orientations[self._rows] = self._turn.orientations_to_sled(state[:, 3:])
             self._state = with_sheets(self._model, positions, at_rest=self._start[0]), orientations
         return self._state
 
@@ -242,9 +243,12 @@ class BulletEngine:
         """See ``RigidEngine.velocities``."""
         if self._motion is None:
             linear, angular = np.zeros_like(self._start[0]), np.zeros_like(self._start[0])
-            for row, body in self._moving:
-                linear[row], angular[row] = p.getBaseVelocity(body, physicsClientId=self._client)
-            linear, angular = self._turn.to_sled(linear), self._turn.to_sled(angular)
+            if self._moving:
+                client, get = self._client, p.getBaseVelocity
+                read = [get(body, physicsClientId=client) for _, body in self._moving]
+                state = np.array([(*speed, *spin) for speed, spin in read])
+                linear[self._rows] = self._turn.to_sled(state[:, :3])
+                angular[self._rows] = self._turn.to_sled(state[:, 3:])
             self._motion = with_sheets(self._model, linear), angular
         return self._motion
 

@@ -5,7 +5,6 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,7 +13,7 @@ import numpy as np
 from config.camera import Camera, Markers
 from config.scene import EumosSled, ForceFields, Scene
 from config.scene_file import find_scene, overridden, read_scene
-from sim_core.report import versions
+from sim_core.report import PICTURED, versions
 from sim_core.vision.trial import Trial, picture_trial
 from sim_core.work_precision import with_setting
 
@@ -213,14 +212,11 @@ def _key(look: Look, scene: Scene) -> str:
 
 
 def versions_used() -> dict[str, str]:
-    """Versions of all that draws, simulates and measures."""
-    found = versions()
-    for name in ("mujoco", "vtk", "opencv-python-headless"):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+    """Versions of all that draws, simulates and measures, and a digest of the code that does the last."""
+    code = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        code.update(path.read_bytes())
+    return versions(PICTURED) | {"sim_core/vision": code.hexdigest()[:12]}
 
 
 def _row(key: str, name: str, look: Look, scene: Scene) -> SightRow:

@@ -1,11 +1,8 @@
 """What the pictures of a whole test say: elastic peaks, permanent residues, the rules, and what was not seen.
 
 A measured displacement is never larger than the standard's, but for its uncertainty: two components of three, four
-corners of eight, the packages in front. How much more the rest moved is a question of experience: ``UNSEEN_SHARE`` and
-``UNSEEN_M`` are what covers 95 % of simulated loads on a EUR pallet that hold together. It widens the uncertainty
-upwards only. Where the packages of the row that went farthest all peaked alike, the rows behind them did so too: of 7
-such tests (29 mm to 110 mm, but of three loads only) none peaked more than 1.0 mm farther out of sight.
-What lies askew at the end does not follow this: it goes for peaks only.
+corners of eight, the packages in front. How much more the rest moved is a question of experience: ``ELASTIC_UNSEEN``
+and ``PERMANENT_UNSEEN`` are bounds, not standard deviations, and widen the uncertainty upwards only.
 """
 
 from collections.abc import Sequence
@@ -18,7 +15,7 @@ from numpy.typing import NDArray
 from config.scene import Scene
 from sim_core.camera.layout import near_face
 from sim_core.frames import Array, RuleState
-from sim_core.judge import BAND_COUNT, SAME_LAYER_M, TIE_M, Verdict, verdict_of
+from sim_core.judge import BAND_COUNT, TIE_M, Verdict, verdict_of
 from sim_core.vision.faces import Face
 
 if TYPE_CHECKING:
@@ -26,10 +23,16 @@ if TYPE_CHECKING:
 
 COVERAGE = 2.0
 """Expanded over standard uncertainty: 95 % of a normal distribution."""
-UNSEEN_M, UNSEEN_SHARE = 2.5e-3, 0.03
-ALIKE_UNSEEN_M, ALIKE_UNSEEN_SHARE = 1.5e-3, 0.01
-ALIKE_SHARE, LEAST_ALIKE = 0.03, 3
-"""A row of at least so many packages peaks alike if their peaks differ by no more than this share of the largest."""
+ELASTIC_UNSEEN, PERMANENT_UNSEEN = (25.0e-3, 0.06), (16.0e-3, 0.0)
+"""What is not seen may have moved so much farther [m], and by this share of what is seen: bounds that hold for 95 %.
+
+From the poses of 157 simulated loads of 22 schemes in force fields, a few behind film, whose seen elastic peak kept
+the limit: 84 % moved less than 2 mm farther out of sight, but packages behind that sway or topple by themselves went
+up to 266 mm farther, which no term covers. The elastic term is from 79 of them, and holds for 74 of the other 78 (150
+of all); the permanent one is from the 78, and holds for 76 of the 79 by either rule (151 and 152 of all). 2.5 mm + 3 %
+held for 139, 132 and 141. That a row peaks alike says nothing of those behind: of all loads that held together, 2.5 mm
++ 3 % covered 33 of 38 that did and 181 of 210 that did not.
+"""
 REST_PICTURES, REST_M = 5, 1.0e-3
 """The load counts as resting when so many last pictures agree so well; they are averaged."""
 LONGEST_GAP, MOST_MISSING = 3, 0.25
@@ -124,11 +127,11 @@ def judged(
     on_pallet = series.heights <= deck + limits.base_height_m + TIE_M
     rules = [
         _rule("permanent", "permanent displacement of any part", series.permanent(everywhere),
-              limits.permanent_fraction * height, series.is_end_known(everywhere)),
+              limits.permanent_fraction * height, series.is_end_known(everywhere), PERMANENT_UNSEEN),
         _rule("permanent_on_pallet", "permanent displacement on the pallet", series.permanent(on_pallet),
-              limits.base_permanent_m, series.is_end_known(on_pallet)),
+              limits.base_permanent_m, series.is_end_known(on_pallet), PERMANENT_UNSEEN),
         _rule("elastic", "elastic displacement of any part", series.elastic(everywhere),
-              limits.elastic_fraction * height, series.is_all_known(), is_alike=series.is_alike()),
+              limits.elastic_fraction * height, series.is_all_known(), ELASTIC_UNSEEN),
     ]  # fmt: skip
     if rules[2].state == "fail":
         # Packages behind may lie where they like once a load has come apart: none of its rules passes by sight.
@@ -224,13 +227,6 @@ class _Series:
                 return False
         return bool(run.max(initial=0) <= LONGEST_GAP)
 
-    def is_alike(self) -> bool:
-        """Whether the packages of the row that went farthest, side by side on one height, all peaked alike."""
-        peaks = np.where(self._seen, self._far, 0.0).max(axis=(0, 2))
-        top = self.heights.max(axis=1)
-        row = np.abs(top - top[peaks.argmax()]) < SAME_LAYER_M
-        return bool(row.sum() >= LEAST_ALIKE and np.ptp(peaks[row]) <= ALIKE_SHARE * peaks.max())
-
     def _named(self, far: float, sigma: float, time_s: float, row: int, corner: int) -> MeasuredDisplacement:
         return MeasuredDisplacement(
             worst_mm=1000.0 * float(far),
@@ -256,15 +252,12 @@ def _rule(
     worst: MeasuredDisplacement | None,
     limit_m: float,
     is_known: bool,
-    *,
-    is_alike: bool = False,
+    unseen: tuple[float, float],
 ) -> RuleState:
     limit = 1000.0 * limit_m
     if worst is None:
         return RuleState(rule, title, "unresolved", limit, None, None)
-    least, share = (ALIKE_UNSEEN_M, ALIKE_UNSEEN_SHARE) if is_alike else (UNSEEN_M, UNSEEN_SHARE)
-    unseen = 1000.0 * least + share * worst.worst_mm
-    error = float(np.hypot(worst.error_mm, unseen))
+    error = float(np.hypot(worst.error_mm, 1000.0 * unseen[0] + unseen[1] * worst.worst_mm))
     state: Literal["pass", "fail", "unresolved"] = "unresolved"
     if worst.worst_mm - worst.error_mm > limit:
         state = "fail"

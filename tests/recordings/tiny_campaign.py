@@ -4,6 +4,7 @@
 """
 
 import sys
+import time
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -16,11 +17,11 @@ from recordings.campaigns.one_test import Task, bag_digest
 from recordings.campaigns.store import CampaignFolder, test_folder
 from recordings.campaigns.workers import ProcessWorkers, Workers
 
-TESTS = 6
+TESTS = 5
 SCENE: dict[str, Any] = {
     "sled": {"profile": "eumos", "level_g": 0.3, "rise_s": 0.05, "plateau_s": 0.3, "deceleration_g": 0.8}
 }
-CAMERA = {"width_px": 80, "height_px": 64, "pictures": 5}
+CAMERA = {"width_px": 80, "height_px": 64, "pictures": 5, "background": "plain"}
 SMALL_LOADS = (
     {"file": "eur_brick_600x400.pally.json", "layers": [1, 2]},
     {"file": "eur_tall_400x400.stackbuilder.xml", "layers": [1, 1]},
@@ -48,6 +49,7 @@ def run(
     base: Path = Path(),
     on_progress: Callable[[Standing], None] | None = None,
 ) -> Standing:
+    """Runs it, or what is missing of it; the workers end with it."""
     campaign = campaign if campaign is not None else tiny()
     with closing(workers), CampaignFolder(out, campaign) as folder:  # type: ignore[type-var]
         return run_campaign(campaign, base, folder, workers, on_progress=on_progress)
@@ -65,6 +67,13 @@ def digest_on_disk(out: Path, number: int) -> str:
 
 def finished(out: Path) -> list[int]:
     return sorted(int(folder.name) for folder in (out / "tests").glob("[0-9]*"))
+
+
+def wait_until(holds: Callable[[], bool], what: str, *, longest_s: float = 30.0) -> None:
+    until = time.monotonic() + longest_s
+    while not holds():
+        assert time.monotonic() < until, f"{what} did not come within {longest_s:.0f} s"
+        time.sleep(0.02)
 
 
 if __name__ == "__main__":
