@@ -505,6 +505,9 @@ def sight(
         bool,
         typer.Option("--only-cost", help="Only time it, a minute; the page has the tests that DIR holds."),
     ] = False,
+    workers: Annotated[
+        int, typer.Option(min=1, max=64, help="Tests at once; measuring them then takes longer each.")
+    ] = 1,
 ) -> None:
     """Draw and measure many loads, with markers, without and behind film, and hold the measurement against the poses.
 
@@ -525,7 +528,7 @@ def sight(
         rows = rows_on_disk(out)
     else:
         with output.counter("measured from pictures", quiet=False) as count:
-            rows, _ = run_sight(out, quick=quick, on_progress=count)
+            rows, _ = run_sight(out, quick=quick, workers=workers, on_progress=count)
         output.show_sight(summaries(rows))
     cost = None
     if not no_cost:

@@ -3,8 +3,10 @@
 import csv
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, fields
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
@@ -113,6 +115,7 @@ def run_sight(
     *,
     quick: bool = False,
     cases: Sequence[Case] | None = None,
+    workers: int = 1,
     on_progress: Progress | None = None,
 ) -> tuple[list[SightRow], list[SightSummary]]:
     """Measures every load of the sweep and writes ``sight.csv`` and ``sight.json``.
@@ -123,23 +126,37 @@ def run_sight(
         out: folder, made where it is missing.
         quick: two loads a look.
         cases: other tests than the sweep's.
+        workers: tests at once; more than there are free cores make the times of measuring longer.
         on_progress: called with rows done, how many there are, and the last one.
     """
     out.mkdir(parents=True, exist_ok=True)
     path = out / "sight.json"
     kept = _stored(path)
     wanted = cases if cases is not None else list(_cases(quick=quick))
-    rows: list[SightRow] = []
-    for number, (name, look, scene) in enumerate(wanted, start=1):
-        key = _key(look, scene)
-        row = kept.get(key) or _row(key, name, look, scene)
-        rows.append(row)
-        kept[key] = row
+    keys = [_key(look, scene) for _, look, scene in wanted]
+    missing = {key: case for key, case in zip(keys, wanted, strict=True) if key not in kept}
+    for count, row in enumerate(_made(missing, workers), start=len(wanted) - len(missing) + 1):
+        kept[row.key] = row
         _write(path, [asdict(entry) for entry in kept.values()])
         if on_progress is not None:
-            on_progress(number, len(wanted), row)
+            on_progress(count, len(wanted), row)
+    rows = [kept[key] for key in keys]
     _write_table(rows, out / "sight.csv")
     return rows, summaries(rows)
+
+
+def _made(cases: Mapping[str, Case], workers: int) -> Iterator[SightRow]:
+    """Rows as they come, by the keys of their cases."""
+    if workers == 1:
+        yield from (_row(key, *case) for key, case in cases.items())
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        asked = [pool.submit(_row, key, *case) for key, case in cases.items()]
+        try:
+            yield from (done.result() for done in as_completed(asked))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
 
 
 def rows_on_disk(out: Path, *, cases: Sequence[Case] | None = None) -> list[SightRow]:

@@ -197,7 +197,7 @@ def test_weights_that_do_not_fit_are_refused_in_one_line(tmp_path):
             load_imagenet_weights(model, path)
     for content in (b"", b"no weights", b"PK\x03\x04 broken"):
         path.write_bytes(content)
-        with pytest.raises(RefusedInput, match="torch.save"):
+        with pytest.raises(RefusedInput, match=r"torch\.save"):
             load_imagenet_weights(model, path)
     with pytest.raises(RefusedInput, match="No such file"):
         load_imagenet_weights(model, tmp_path / "none.pth")
@@ -213,7 +213,7 @@ def test_configurations_go_through_json_and_errors_name_the_choices():
         "'rgb' or 'change'": lambda: preset("paper", mode="depth"),
         "channels 1 must be one of": lambda: preset("paper", channels=1),
         "network.units": lambda: preset("compact", units=3),
-        "network.lstm_units": lambda: NetworkConfig.from_json('{"mode": "rgb"}'),
+        "network.size_px": lambda: NetworkConfig.from_json('{"mode": "rgb"}'),
         "network": lambda: NetworkConfig.from_json("{"),
     }.items():
         with pytest.raises(RefusedInput, match=said) as refusal:
