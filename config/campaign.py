@@ -1,6 +1,5 @@
 """A campaign file: which tests are to be made, drawn from ranges, spread over a grid, or listed one by one."""
 
-import json
 import math
 from collections.abc import Sequence
 from importlib.resources import files
@@ -248,8 +247,3 @@ def campaign_from_raw(raw: object) -> Campaign:
         return Campaign.model_validate(raw)
     except ValidationError as error:
         raise refusal(error, "campaign") from None
-
-
-def campaign_schema() -> str:
-    """The JSON Schema of campaign files."""
-    return json.dumps(Campaign.model_json_schema(), indent=2)

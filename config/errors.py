@@ -76,4 +76,4 @@ class Interrupted(PalletTwinError):
     exit_code = 130
 
     def __init__(self) -> None:
-        super().__init__("interrupted; a bag that was begun is whole")
+        super().__init__("interrupted; what is on disk is whole")

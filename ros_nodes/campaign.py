@@ -2,7 +2,6 @@
 
 import json
 import os
-import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -110,14 +109,9 @@ def _workers(count: int | None, address: str | None) -> "Iterator[Workers]":
     else:
         hands = ProcessWorkers(count if count is not None else len(os.sched_getaffinity(0)))
 
-    def stop(_signal: int, _frame: object) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, stop)
     try:
         yield hands
     finally:
-        signal.signal(signal.SIGTERM, before)
         hands.close()
 
 

@@ -665,11 +665,14 @@ def stress(
 
 
 @app.command()
-def schema() -> None:
+def schema(
+    campaign: Annotated[bool, typer.Option("--campaign", help="That of campaign files instead.")] = False,
+) -> None:
     """Print the scene's JSON Schema."""
+    from config.campaign import Campaign
     from config.scene import Scene
 
-    print(json.dumps(Scene.model_json_schema(), indent=1))
+    print(json.dumps((Campaign if campaign else Scene).model_json_schema(), indent=1))
 
 
 @app.command()
