@@ -2,13 +2,11 @@
 
 import math
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, ValidationError, model_validator
 
-from config.errors import RefusedInput
 from config.part import Part
 from config.scene_file import apply_override, read_json, refusal
 
@@ -196,29 +194,6 @@ class Campaign(Part):
 
 def _components(number: Number) -> tuple[float, ...]:
     return number if isinstance(number, tuple) else (number,)
-
-
-def shipped_campaigns() -> list[str]:
-    """Names of the campaigns that come with the product."""
-    folder = files("config").joinpath("campaigns")
-    return sorted(
-        entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json")
-    )
-
-
-def find_campaign(name_or_path: str) -> Path:
-    """The path of a campaign file: a path as given, or the name of a shipped campaign.
-
-    Raises:
-        RefusedInput: neither exists.
-    """
-    path = Path(name_or_path)
-    if path.is_file():
-        return path
-    if name_or_path in shipped_campaigns():
-        return Path(str(files("config").joinpath("campaigns", f"{name_or_path}.json")))
-    shipped = ", ".join(shipped_campaigns())
-    raise RefusedInput("campaign", name_or_path, f"no such file, and no shipped campaign; shipped: {shipped}")
 
 
 def read_campaign(path: Path, overrides: Sequence[str] = ()) -> Campaign:

@@ -3,7 +3,6 @@
 import json
 import math
 from collections.abc import Callable, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +12,7 @@ from config.errors import RefusedInput
 from config.materials import material_library
 from config.package import Package
 from config.scene import CustomPallet, FileLoad, FilePallet, PackagesLoad, PatternSource, Scene
+from config.shipped import SCENES
 
 if TYPE_CHECKING:
     from config.readers import PatternFile
@@ -23,10 +23,7 @@ _UNION_TAGS = {"packages", "file", "epal1", "custom", "eumos", "table", "recorde
 
 def shipped_scenes() -> list[str]:
     """Names of the scenes that come with the product."""
-    folder = files("config").joinpath("scenes")
-    return sorted(
-        entry.name.removesuffix(".json") for entry in folder.iterdir() if entry.name.endswith(".json")
-    )
+    return SCENES.names()
 
 
 def find_scene(name_or_path: str) -> Path:
@@ -35,18 +32,7 @@ def find_scene(name_or_path: str) -> Path:
     Raises:
         RefusedInput: neither exists.
     """
-    path = Path(name_or_path)
-    try:
-        if path.exists():
-            return path
-    except OSError as error:
-        raise RefusedInput("scene", name_or_path, error.strerror or "cannot be read") from None
-    shipped = Path(str(files("config").joinpath("scenes", f"{name_or_path}.json")))
-    if name_or_path in shipped_scenes():
-        return shipped
-    raise RefusedInput(
-        "scene", name_or_path, f"no such file, and no shipped scene; shipped: {', '.join(shipped_scenes())}"
-    )
+    return SCENES.find(name_or_path)
 
 
 def read_scene(path: Path, overrides: Sequence[str] = ()) -> Scene:

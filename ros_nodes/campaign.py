@@ -13,8 +13,9 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
-from config.campaign import Campaign, find_campaign, read_campaign
+from config.campaign import Campaign, read_campaign
 from config.errors import RefusedInput
+from config.shipped import CAMPAIGNS
 
 if TYPE_CHECKING:
     from recordings.campaigns.driver import Standing
@@ -50,7 +51,7 @@ def make_campaign(
     from recordings.campaigns.driver import run_campaign
     from recordings.campaigns.store import CampaignFolder
 
-    path = find_campaign(name)
+    path = CAMPAIGNS.find(name)
     campaign = read_campaign(path, overrides)
     # What cannot be drawn at all is told before a folder is made.
     bad = Drafts(campaign, path.parent).bad_loads
@@ -77,7 +78,7 @@ def checked_campaign(name: str, overrides: list[str], draws: int) -> dict[str, A
     """
     from recordings.campaigns.drafts import Draft, Drafts
 
-    path = find_campaign(name)
+    path = CAMPAIGNS.find(name)
     campaign = read_campaign(path, overrides)
     drafts = Drafts(campaign, path.parent)
     last = draws if drafts.count is None else min(draws, drafts.count)
@@ -294,7 +295,7 @@ def scaling(
 
     if tests % 16:
         raise RefusedInput("--tests", tests, "must be a multiple of 16")
-    path = find_campaign(file)
+    path = CAMPAIGNS.find(file)
     own = read_campaign(path)
     with counter("tests", quiet=as_json) as count:
         rows = measure_scaling(

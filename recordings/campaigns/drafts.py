@@ -14,10 +14,10 @@ from scipy.stats import qmc
 
 from config.campaign import Campaign, CampaignLoad, Layout, Range, Restraint, Values
 from config.errors import RefusedInput
-from config.patterns_library import find_pattern
 from config.readers import choose_pallet, read_pattern
 from config.scene import Scene
 from config.scene_file import resolve_scene, set_value, validate_scene
+from config.shipped import PATTERNS
 from sim_core.integrity import require_integrity
 
 LEAST_LAYERS = 4
@@ -269,7 +269,7 @@ def flat(factors: Factors) -> dict[str, bool | int | float | str | None]:
 
 
 def _find(file: str, base: Path) -> Path:
-    return base / file if (base / file).is_file() else find_pattern(file)
+    return base / file if (base / file).is_file() else PATTERNS.find(file)
 
 
 def _weighted(options: "tuple[Any, ...]", share: float) -> Any:

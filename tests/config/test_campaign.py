@@ -4,8 +4,9 @@ import json
 
 import pytest
 
-from config.campaign import Range, campaign_from_raw, find_campaign, read_campaign, shipped_campaigns
+from config.campaign import Range, campaign_from_raw, read_campaign
 from config.errors import RefusedInput
+from config.shipped import CAMPAIGNS
 
 SCENE = {"name": "x", "load": {}, "sled": {"profile": "eumos", "level_g": 0.5}}
 
@@ -21,14 +22,14 @@ def raw(**changes):
 
 
 def test_shipped_campaigns_are_read():
-    assert shipped_campaigns() == ["paper", "smoke"]
-    paper = read_campaign(find_campaign("paper"))
+    assert CAMPAIGNS.names() == ["paper", "smoke"]
+    paper = read_campaign(CAMPAIGNS.find("paper"))
     assert paper.tests == 1500
     assert paper.balance is not None and paper.balance.success_share == pytest.approx(1 / 3, abs=1e-4)
     assert len({load.scheme_name for load in paper.loads}) >= 20
     pictures = paper.vary["camera.pictures"]
     assert isinstance(pictures, Range) and (pictures.low, pictures.high) == (60.0, 70.0)
-    assert read_campaign(find_campaign("smoke")).tests == 8
+    assert read_campaign(CAMPAIGNS.find("smoke")).tests == 8
 
 
 def test_ranges_reach_their_ends_and_stay_inside():
@@ -77,4 +78,4 @@ def test_a_file_is_read_with_overrides(tmp_path):
     with pytest.raises(RefusedInput, match="stands twice"):
         read_campaign(path)
     with pytest.raises(RefusedInput, match="shipped: paper, smoke"):
-        find_campaign("nothing")
+        CAMPAIGNS.find("nothing")

@@ -11,9 +11,9 @@ import pytest
 
 from config.errors import RefusedInput
 from config.package import Package
-from config.patterns_library import find_pattern, shipped_patterns
 from config.readers import read_pattern, vary_layers
 from config.readers.pallet import Bounds, PatternPallet, bounds
+from config.shipped import PATTERNS as LIBRARY
 
 PATTERNS = Path(__file__).parents[2] / "config" / "patterns"
 PUBLIC = Path(__file__).parents[2].parent / "shared" / "patterns"
@@ -117,18 +117,18 @@ def assert_sound(pallet: PatternPallet) -> None:
 
 def test_every_shipped_load_is_listed_and_found() -> None:
     files = {path.name for path in PATTERNS.iterdir() if path.suffix in (".xml", ".json")}
-    assert set(shipped_patterns()) == files == set(TABLE)
-    assert shipped_patterns() == sorted(files)
+    assert set(LIBRARY.names()) == files == set(TABLE)
+    assert LIBRARY.names() == sorted(files)
     for name in files:
-        assert find_pattern(name) == PATTERNS / name
+        assert LIBRARY.find(name) == PATTERNS / name
 
 
 def test_a_pattern_is_found_by_its_path_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mine = tmp_path / "eur_mixed.nist.xml"
     mine.write_bytes(b"<Response/>")
-    assert find_pattern(str(mine)) == mine
+    assert LIBRARY.find(str(mine)) == mine
     monkeypatch.chdir(tmp_path)
-    assert find_pattern("eur_mixed.nist.xml") == Path("eur_mixed.nist.xml")
+    assert LIBRARY.find("eur_mixed.nist.xml") == Path("eur_mixed.nist.xml")
 
 
 @pytest.mark.parametrize(
@@ -139,7 +139,7 @@ def test_a_pattern_that_is_not_there_is_refused(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(RefusedInput) as caught:
-        find_pattern(name)
+        LIBRARY.find(name)
     assert (caught.value.field, caught.value.value) == ("pattern", name)
 
 

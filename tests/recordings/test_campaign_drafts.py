@@ -107,7 +107,7 @@ def test_a_list_makes_its_cases(tmp_path):
     first, second = made(listed.draft(0)), made(listed.draft(1))
     assert first.scene.sled.level_g == 0.4 and first.factors["layers"] == 2
     assert second.factors["layout"] == "turned" and second.factors["layers"] == 5
-    with pytest.raises(RefusedInput, match="cases.0.load = nowhere"):
+    with pytest.raises(RefusedInput, match=r"cases\.0\.load = nowhere"):
         drafts(tmp_path, mode="list", cases=[{"load": "nowhere"}])
 
 
