@@ -7,7 +7,7 @@ draws a test stands for, so rates over the campaign's own ranges can be had back
 rounds before it alone, so it is the same however many workers there are.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -114,10 +114,10 @@ class _Features:
                 numbers = [float(value) for value in values]  # type: ignore[arg-type]
                 self._ranges[key] = Range.model_validate({"from": min(numbers), "to": max(numbers)}), False
             elif not isinstance(values, Range):
-                self._choices[key] = {str(value): k for k, value in enumerate(values)}
-        self._choices["scheme"] = {load.scheme_name: k for k, load in enumerate(campaign.loads)}
-        self._choices["layout"] = {layout: k for k, layout in enumerate(campaign.layouts)}
-        self._choices["restraint"] = {name: k for k, name in enumerate(restraints)}
+                self._choices[key] = _places(map(str, values))
+        self._choices["scheme"] = _places(load.scheme_name for load in campaign.loads)
+        self._choices["layout"] = _places(campaign.layouts)
+        self._choices["restraint"] = _places(restraints)
 
     def of(self, factors: Factors) -> Array:
         """The features of one draw, with a leading 1."""
@@ -157,6 +157,11 @@ class _Logistic:
         """Chance to pass, shape [n]."""
         chance: Array = 1.0 / (1.0 + np.exp(-np.clip(features @ self._weights, -30.0, 30.0)))
         return chance
+
+
+def _places(names: Iterable[str]) -> dict[str, int]:
+    """A column for each name; loads of one scheme share one, and a list may say a value twice to weigh it."""
+    return {name: place for place, name in enumerate(dict.fromkeys(names))}
 
 
 def _is_number(value: object) -> bool:

@@ -1,5 +1,7 @@
 """The bench drawn by VTK's OpenGL: one mesh of all that moves, one for the rails, one for the floor's shade."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from config.scene import Scene
@@ -11,7 +13,7 @@ from sim_core.camera.hall import backdrop, rails, shaded_floor, shadow_region
 from sim_core.camera.layout import side_of
 from sim_core.camera.lighting import Lighting
 from sim_core.camera.load_look import packages
-from sim_core.camera.meshes import SLED, Mesh, edge_points, merged
+from sim_core.camera.meshes import PALLET, SLED, Mesh, edge_points, merged
 from sim_core.camera.sensor import Lens, Picture, Window, busy_parts, projection
 from sim_core.camera.shaders import SHADE_FRAGMENT, SOLID_FRAGMENT, SOLID_VERTEX
 from sim_core.camera.stage import pallet, sled
@@ -60,6 +62,7 @@ class GlDrawing:
                 packages(scene, atlas, pixels_per_m=density),
             ]
         )
+        self._moving = _near_ones_first(self._moving, scene, view)
         hall = scene.camera.background == "hall"
         fixed = {
             "far": backdrop(scene, side, atlas) if hall else merged([]),
@@ -195,6 +198,15 @@ class GlDrawing:
             np.einsum("nij,nj->ni", turns[bodies], self._moving.points) + moves[bodies],
             np.einsum("nij,nj->ni", turns[bodies], self._moving.normals),
         )
+
+
+def _near_ones_first(mesh: Mesh, scene: Scene, view: CameraView) -> Mesh:
+    """The mesh with its bodies drawn from the camera backwards, so that what is hidden is not coloured first."""
+    places = np.zeros((PALLET + 1 + len(scene.packages), 3))
+    places[PALLET + 1 :] = [package.position_m for package in scene.packages]
+    depths = view.in_optical(places)[:, 2]
+    order = np.argsort(depths[mesh.bodies[mesh.triangles[:, 0]]], kind="stable")
+    return replace(mesh, triangles=mesh.triangles[order])
 
 
 def projection_in_world(view: CameraView, focal: float, seen: Window) -> Array:

@@ -79,10 +79,11 @@ class _DepthMap:
         self._mesh.set_uniform("clip_from_world", self._clip @ self.from_world(sled))
         self._window.draw()
         depths = (self._window.depths() - np.float32(0.5)) * np.float32(self._depth_m)
-        moments = cv2.merge([depths, depths * depths, depths])
+        moments = cv2.merge([depths, depths * depths])
         for _ in range(2):
             moments = cv2.blur(moments, (self._kernel, self._kernel), borderType=cv2.BORDER_REPLICATE)
-        self.texture.set(np.asarray(moments, dtype=np.float32))
+        # Textures have three channels; two are looked at.
+        self.texture.set(np.dstack((moments, moments[..., :1])))
 
     def clear(self) -> None:
         """Nothing is in the light's way."""

@@ -141,8 +141,12 @@ def outcomes_of(order, rounds, size, passes):
 def test_a_balance_reaches_its_share_and_the_weights_lead_back(tmp_path, natural, wanted):
     campaign = {
         **VARIED,
+        # Two files of one scheme, and a value that is said twice.
+        "loads": [{"file": BRICK}, {"file": "eur_tower_300x200.pally.json", "scheme": "eur_brick_600x400"}],
+        "layouts": ["as_filed", "turned"],
+        "mass_factor": None,
         "tests": 600,
-        "vary": {"sled.level_g": {"from": 0.3, "to": 0.8}},
+        "vary": {"sled.level_g": {"from": 0.3, "to": 0.8}, "camera.background": ["hall", "hall", "plain"]},
         "balance": {"success_share": wanted, "round": 100},
     }
     some = drafts(tmp_path, **campaign)
