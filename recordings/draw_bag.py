@@ -23,6 +23,8 @@ from msgs_adapters.topics import (
     CAMERA_IMAGE,
     CAMERA_INFO,
     CAMERA_PROGRESS,
+    CLASSIFIER_PROBABILITY,
+    CLASSIFIER_REPORT,
     PACKAGES_POSES,
     SCENE,
     SLED_ODOMETRY,
@@ -39,6 +41,7 @@ from sim_core.camera.source import DrawnPictures, Picture
 
 _DRAWN = (
     CAMERA_INFO, CAMERA_IMAGE, CAMERA_COMPRESSED, CAMERA_PROGRESS, VISION_DISPLACEMENT, VISION_REPORT,
+    CLASSIFIER_PROBABILITY, CLASSIFIER_REPORT,
 )  # fmt: skip
 
 OnPicture = Callable[[int, float], None]

@@ -15,7 +15,7 @@ TRIES = 3
 """A test whose worker dies so many times is given up."""
 GIVEN_UP = "given up"
 """What the reason of such a test begins with."""
-TESTS_A_WORKER = 100
+TESTS_A_WORKER = 60
 """Then a fresh process takes over, so that nothing that a library keeps can pile up."""
 ONE_THREAD = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL", "NUMBA", "LP")}
 """Tests run side by side: threads of one would only take another's core."""
