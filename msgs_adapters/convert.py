@@ -9,7 +9,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from geometry_msgs.msg import Accel, AccelStamped, Point, Pose, Quaternion, Vector3
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import Imu
-from std_msgs.msg import ColorRGBA, Header, String
+from std_msgs.msg import ColorRGBA, Float64, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from config.errors import RefusedInput
@@ -186,6 +186,11 @@ def to_markers(
 def to_string(text: str) -> Any:
     """A ``std_msgs/String``."""
     return String(data=text)
+
+
+def to_float(value: float) -> Any:
+    """A ``std_msgs/Float64``."""
+    return Float64(data=value)
 
 
 _LEVELS = {

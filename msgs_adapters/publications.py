@@ -10,7 +10,7 @@ from config.scene import Scene
 from msgs_adapters.camera_payloads import Calibration, camera_info_payload, image_payload, jpeg_payload
 from msgs_adapters.cdr import serialize
 from msgs_adapters.colours import full_strain
-from msgs_adapters.convert import to_diagnostics, to_markers, to_string
+from msgs_adapters.convert import to_diagnostics, to_float, to_markers, to_string
 from msgs_adapters.film_mesh import film_mesh_payload
 from msgs_adapters.film_payloads import film_cloud_payload
 from msgs_adapters.pose_payloads import pose_array_payload
@@ -21,6 +21,8 @@ from msgs_adapters.topics import (
     CAMERA_COMPRESSED,
     CAMERA_IMAGE,
     CAMERA_INFO,
+    CLASSIFIER_PROBABILITY,
+    CLASSIFIER_REPORT,
     CLOCK,
     EUMOS_REPORT,
     EUMOS_STATUS,
@@ -141,6 +143,16 @@ def displacement_publication(stamp_ns: int, payload: bytes) -> Publication:
 def vision_report_publication(stamp_ns: int, report_json: str) -> Publication:
     """The judgement from the pictures alone."""
     return Publication(VISION_REPORT, stamp_ns, serialize(to_string(report_json)))
+
+
+def failure_probability_publication(stamp_ns: int, probability: float) -> Publication:
+    """How likely the test fails, guessed from the pictures up to a stamp [ns]."""
+    return Publication(CLASSIFIER_PROBABILITY, stamp_ns, serialize(to_float(probability)))
+
+
+def guess_publication(stamp_ns: int, report_json: str) -> Publication:
+    """What a classifier guesses of the whole video."""
+    return Publication(CLASSIFIER_REPORT, stamp_ns, serialize(to_string(report_json)))
 
 
 def rules_publication(stamp_ns: int, rules: list[RuleState]) -> Publication:

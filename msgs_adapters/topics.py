@@ -80,6 +80,8 @@ VISION_DISPLACEMENT = Topic("vision/displacement", "sensor_msgs/msg/PointCloud2"
 VISION_REPORT = Topic("vision/report", "std_msgs/msg/String", LATCHED)
 RESIDUAL_DISPLACEMENT = Topic("residual/displacement", "sensor_msgs/msg/PointCloud2", PICTURES)
 RESIDUAL_REPORT = Topic("residual/report", "std_msgs/msg/String", LATCHED)
+CLASSIFIER_PROBABILITY = Topic("classifier/failure_probability", "std_msgs/msg/Float64", STATUS)
+CLASSIFIER_REPORT = Topic("classifier/report", "std_msgs/msg/String", LATCHED)
 # Of a replay alone, so no recorder is offered it.
 PLAYER_PROGRESS = Topic("player/progress", "diagnostic_msgs/msg/DiagnosticStatus", LATCHED)
 # Only in bags: the wheels hold no tf2_msgs.
@@ -108,6 +110,8 @@ ALL_TOPICS = (
     VISION_REPORT,
     RESIDUAL_DISPLACEMENT,
     RESIDUAL_REPORT,
+    CLASSIFIER_PROBABILITY,
+    CLASSIFIER_REPORT,
     TF,
 )
 
