@@ -12,7 +12,10 @@ from config.errors import PalletTwinError, RefusedInput
 from ros_nodes import output
 from ros_nodes.campaign import campaign, scaling, verify
 from ros_nodes.campaign_statistics import statistics
+from ros_nodes.evaluate import evaluate, require_model
+from ros_nodes.predict import predict
 from ros_nodes.rate import rate
+from ros_nodes.train import train
 
 app = typer.Typer(
     name="pallet-twin",
@@ -150,6 +153,12 @@ def up(
             metavar="BAG", help="The camera shows the pictures of this bag of the same test, and draws none."
         ),
     ] = None,
+    classify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MODEL", help="Have a trained classifier guess from the pictures while it runs."
+        ),
+    ] = None,
     overwrite: OverwriteOption = False,
     discovery: Annotated[
         Literal["localhost", "subnet"],
@@ -189,6 +198,8 @@ def up(
         )
     if pictures is not None and loaded.camera is None:
         raise RefusedInput("--pictures", str(pictures), "needs a camera in the scene")
+    if classify is not None:
+        classify = require_model(classify, loaded)
     where = make_folder(loaded, out, overwrite=overwrite, with_bag=not no_record, bag=record, with_page=page)
     with output.progress(loaded, quiet=as_json) as on_progress:
         outcome = run_graph(
@@ -202,6 +213,7 @@ def up(
             with_view=view,
             split=(split_mb, split_s),
             bench=bench,
+            classify=classify,
             on_progress=on_progress,
         )
     output.finish(outcome, as_json=as_json, require=require)
@@ -689,6 +701,9 @@ app.command()(campaign)
 app.command()(statistics)
 app.command()(verify)
 app.command()(scaling)
+app.command()(train)
+app.command()(evaluate)
+app.command()(predict)
 
 
 @app.callback(invoke_without_command=True)

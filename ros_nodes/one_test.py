@@ -150,6 +150,7 @@ def run_graph(
     with_view: bool = False,
     split: tuple[int, float] = (0, 0.0),
     bench: bool = False,
+    classify: Path | None = None,
     on_progress: OnProgress | None = None,
 ) -> TestOutcome:
     """Runs a test as a node graph.
@@ -176,7 +177,9 @@ def run_graph(
         scene, estimate, why, refinements = planned.scene, planned.estimate, planned.why, planned.refinements
     else:
         scene, why = with_setting(scene)
-    result = Supervisor(scene, pace, where.bag, on_progress, guests, pictures, with_view, split, bench).run()
+    result = Supervisor(
+        scene, pace, where.bag, on_progress, guests, pictures, with_view, split, bench, classify
+    ).run()
     judged = json.loads(result.judgement_json)
     # What the machine did is not what a companion would repeat.
     if estimate is None and with_estimate and scene.packages and result.ended_by is None and not bench:
@@ -194,6 +197,8 @@ def run_graph(
         report["numerics"]["pace"] = result.notes
     if result.residual_json is not None:
         report["residual"] = json.loads(result.residual_json)
+    if result.classified_json is not None:
+        report["classifier"] = json.loads(result.classified_json)
     if result.measured_json is not None:
         report["vision"] = json.loads(result.measured_json)
     _write(report, scene, where, _recorded_pictures(scene, where.bag), "camera_node")

@@ -155,6 +155,11 @@ def finish(outcome: TestOutcome, *, as_json: bool, require: str | None) -> None:
                 f"machine less twin: {told['rms_mm']:.2f} mm rms over {told['points']} points, at most"
                 f" {told['largest_mm']:.1f} mm, {told['package']} at {told['largest_at_s']:.2f} s"
             )
+        if "classifier" in outcome.report:
+            told = outcome.report["classifier"]
+            print(
+                f"classifier: {told['verdict']}, success {100.0 * told['success_probability']:.1f} %, {told['told']}"
+            )
         if "cross_check" in outcome.report:
             _show_cross_check(outcome.report["cross_check"])
         for name, path in paths.items():

@@ -42,6 +42,7 @@ TWIN_NODES = {
     "recorder_node",
     "camera_node",
     "vision_node",
+    "classifier_node",
 }
 DISCOVERY_S = 0.8
 RESIDUAL_WAIT_S = 1.0
@@ -84,6 +85,7 @@ class GraphResult:
         notes: what nodes said about falling behind or missing messages, or an empty text.
         measured_json: what the pictures say, where the scene has them measured.
         residual_json: what the machine's measured displacement differs by, where it drives and something measures.
+        classified_json: what a classifier guesses from the pictures, where one was asked for.
     """
 
     judgement_json: str
@@ -93,6 +95,7 @@ class GraphResult:
     notes: str
     measured_json: str | None = None
     residual_json: str | None = None
+    classified_json: str | None = None
 
 
 def configure_middleware(discovery: Literal["localhost", "subnet"]) -> None:
@@ -120,6 +123,7 @@ class Supervisor:
         with_view: whether a live view is served.
         bench: whether the machine's accelerometer drives it.
         split: size [MB] and simulated time [s] after which the bag begins a new file; 0: never.
+        classify: folder of a model that guesses from the pictures while it runs, or None.
     """
 
     scene: Scene
@@ -131,6 +135,7 @@ class Supervisor:
     with_view: bool = False
     split: tuple[int, float] = (0, 0.0)
     bench: bool = False
+    classify: Path | None = None
     _nodes: list[NodeProcess] = field(default_factory=list)
     _states: dict[str, str] = field(default_factory=dict)
     _report: str | None = None
@@ -138,6 +143,7 @@ class Supervisor:
     _has_pictures: bool = False
     _measured: str | None = None
     _residual: str | None = None
+    _classified: str | None = None
     _notes: str = ""
 
     @property
@@ -180,6 +186,7 @@ class Supervisor:
 
         from msgs_adapters.topics import (
             CAMERA_PROGRESS,
+            CLASSIFIER_REPORT,
             EUMOS_REPORT,
             EUMOS_STATUS,
             PHYSICS_PROGRESS,
@@ -199,6 +206,7 @@ class Supervisor:
             *([(CAMERA_PROGRESS, self._take_camera)] if self.scene.camera is not None else []),
             *([(VISION_REPORT, self._take_measured)] if self._measures else []),
             *([(RESIDUAL_REPORT, self._take_residual)] if self.bench else []),
+            *([(CLASSIFIER_REPORT, self._take_classified)] if self.classify is not None else []),
         ):
             self._node.create_subscription(
                 message_class(topic.type_name), topic.name, callback, to_rclpy(topic.qos)
@@ -244,6 +252,8 @@ class Supervisor:
         recorded += (
             ["residual/displacement", "residual/report"] if self.bench and self.bag is not None else []
         )
+        guesses = ("classifier/failure_probability", "classifier/report") if self.classify is not None else ()
+        recorded += guesses if self.bag is not None else ()
         taken_down = dict.fromkeys(recorded, 1)
         if self.with_view:
             from ros_nodes.viewer_node import VIEWED
@@ -251,7 +261,7 @@ class Supervisor:
             taken_down |= {topic.name: taken_down.get(topic.name, 0) + 1 for topic in VIEWED}
             yield "viewer_node", {}
         cameras, visions = int(self.scene.camera is not None), int(self._measures)
-        residuals = int(self.bench)
+        residuals, classifiers = int(self.bench), int(self.classify is not None)
         film = {"wrap/strain": 1 + cameras + self.guests} if self.scene.film is not None else {}
         if self.bag is not None:
             size_mb, after_s = self.split
@@ -279,6 +289,10 @@ class Supervisor:
         if visions:
             said = _sum(taken_down, {"vision/report": 1}, only=("vision/displacement", "vision/report"))
             yield "vision_node", {"readers": readers_text(said)}
+        if self.classify is not None:
+            said = _sum(taken_down, {"classifier/report": 1}, only=guesses)
+            model = str(self.classify.resolve())
+            yield "classifier_node", {"model": model, "readers": readers_text(said)}
         if cameras:
             names = ("camera/camera_info", "camera/image_raw", "camera/image_raw/compressed")
             seen = _sum(
@@ -286,8 +300,8 @@ class Supervisor:
                 {
                     "camera/camera_info": visions + self.guests,
                     "camera/image_raw": visions + self.guests,
-                    "camera/image_raw/compressed": self.guests,
-                    "camera/progress": 1 + visions,
+                    "camera/image_raw/compressed": classifiers + self.guests,
+                    "camera/progress": 1 + visions + classifiers,
                 },
                 only=(*names, "camera/progress"),
             )
@@ -381,6 +395,7 @@ class Supervisor:
             and self._final is not None
             and (self._has_pictures or self.scene.camera is None)
             and (self._measured is not None or not self._measures)
+            and (self._classified is not None or self.classify is None)
         )
 
     def _watch(self) -> None:
@@ -468,6 +483,9 @@ class Supervisor:
     def _take_measured(self, message: Any) -> None:
         self._measured = message.data
 
+    def _take_classified(self, message: Any) -> None:
+        self._classified = message.data
+
     def _take_residual(self, message: Any) -> None:
         self._residual = message.data
 
@@ -493,6 +511,7 @@ class Supervisor:
             notes=self._notes,
             measured_json=self._measured,
             residual_json=self._residual,
+            classified_json=self._classified,
         )
 
 

@@ -83,7 +83,7 @@ class _DepthMap:
         for _ in range(2):
             moments = cv2.blur(moments, (self._kernel, self._kernel), borderType=cv2.BORDER_REPLICATE)
         # Textures have three channels; two are looked at.
-        self.texture.set(np.dstack((moments, moments[..., :1])))
+        self.texture.set(np.dstack((moments, moments[..., :1])).astype(np.float32, copy=False))
 
     def clear(self) -> None:
         """Nothing is in the light's way."""

@@ -1,0 +1,64 @@
+"""Changes to a clip that leave its verdict as it is: the same change to all of its frames."""
+
+import cv2
+import numpy as np
+
+from classifier.frames import Pixels
+from classifier.training_config import TrainingConfig
+
+
+def augmented(frames: Pixels, rng: np.random.Generator, training: TrainingConfig) -> Pixels:
+    """A clip as another camera might have seen it.
+
+    Each of four changes comes with the probability ``training.augmentation``: another size, other colours, mirrored
+    left to right, turned. What comes in from beyond the border repeats it.
+
+    Args:
+        frames: shape [time, size, size, 3] or [time, size, size, 1]; not changed.
+        rng: says what changes, and by how much; it draws as often whatever happens.
+        training: how much at most.
+
+    Returns:
+        Frames of the same shape.
+    """
+    wanted = rng.random(4) < training.augmentation
+    scale = 1.0 + rng.uniform(-training.resize, training.resize) * wanted[0]
+    colour = rng.uniform(-training.jitter, training.jitter, size=3) * wanted[1]
+    mirrored = bool(wanted[2] and training.flip)
+    angle = rng.uniform(-training.rotation_deg, training.rotation_deg) * wanted[3]
+    if scale != 1.0 or mirrored or angle:
+        frames = _moved(frames, float(scale), float(angle), mirrored=mirrored)
+    return _recoloured(frames, *colour) if colour.any() else frames
+
+
+def _moved(frames: Pixels, scale: float, angle_deg: float, *, mirrored: bool) -> Pixels:
+    """Frames turned and sized about their middle."""
+    time, height, width, depth = frames.shape
+    middle = (0.5 * (width - 1.0), 0.5 * (height - 1.0))
+    matrix = cv2.getRotationMatrix2D(middle, angle_deg, scale)
+    if mirrored:
+        matrix[:, 2] += matrix[:, 0] * (width - 1.0)
+        matrix[:, 0] = -matrix[:, 0]
+    moved = np.empty_like(frames)
+    for number in range(time):
+        seen = cv2.warpAffine(
+            frames[number], matrix, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+        )
+        moved[number] = seen.reshape(height, width, depth)
+    return moved
+
+
+def _recoloured(frames: Pixels, brightness: float, contrast: float, saturation: float) -> Pixels:
+    """Frames brighter, richer in contrast about the first one's mean, and in colour more saturated, by these shares."""
+    mean = float(frames[0].mean())
+    levels = np.arange(256.0)
+    levels = (levels - mean) * (1.0 + contrast) + mean * (1.0 + brightness)
+    toned = cv2.LUT(frames.reshape(-1, 1), np.clip(np.round(levels), 0, 255).astype(np.uint8))
+    recoloured = np.asarray(toned, dtype=np.uint8).reshape(frames.shape)
+    if frames.shape[3] == 1 or not saturation:
+        return recoloured
+    # Out of grey by as much as the colours are to be stronger; the weights are those of grey in Rec. 601.
+    grey = np.array([0.299, 0.587, 0.114])
+    matrix = (1.0 + saturation) * np.eye(3) - saturation * grey
+    flat = recoloured.reshape(1, -1, 3)
+    return np.asarray(cv2.transform(flat, matrix), dtype=np.uint8).reshape(frames.shape)

@@ -1,0 +1,121 @@
+"""Clips in batches, prepared by threads while the network works; the same batches in every run."""
+
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from classifier.augmentation import augmented
+from classifier.clips import ClipCache
+from classifier.examples import Example
+from classifier.frames import network_input
+from classifier.training_config import TrainingConfig
+
+_AHEAD = 1
+"""Batches that wait for the network, beside those that each thread is at; more would only take memory."""
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Clips for the network; short ones are filled up with their last frame.
+
+    Attributes:
+        frames: normalised, shape [batch, time, channels, size, size].
+        critical: frame that changed most, of each, shape [batch].
+        lengths: frames of each, shape [batch].
+        failed: 1 for a failed test, 0 for a passed one, shape [batch].
+        loading_s: processor time that it took to prepare [s].
+    """
+
+    frames: Tensor
+    critical: Tensor
+    lengths: Tensor
+    failed: Tensor
+    loading_s: float
+
+    @property
+    def frame_count(self) -> int:
+        """Frames of all clips, without what they are filled up with."""
+        return int(self.lengths.sum())
+
+
+class ClipBatches:
+    """Gives examples as batches.
+
+    Args:
+        cache: where their clips are.
+        batch: clips in each but the last.
+        training: for the augmentation; None leaves the clips as they are.
+        threads: that prepare batches; what they give does not depend on it.
+    """
+
+    def __init__(
+        self, cache: ClipCache, *, batch: int, training: TrainingConfig | None = None, threads: int = 1
+    ) -> None:
+        self._cache, self._batch, self._training, self._threads = cache, batch, training, threads
+
+    def batches(self, examples: Sequence[Example], *, epoch: int = 0) -> Iterator[Batch]:
+        """The examples' batches, in order.
+
+        Args:
+            examples: in the order in which they are wanted.
+            epoch: another one gives another augmentation.
+
+        Raises:
+            BrokenRecording: a clip is not there and its bag is damaged.
+        """
+        parts = deque(examples[first : first + self._batch] for first in range(0, len(examples), self._batch))
+        ahead: deque[Future[Batch]] = deque()
+        pool = ThreadPoolExecutor(self._threads, thread_name_prefix="clips")
+        try:
+            while parts or ahead:
+                while parts and len(ahead) < _AHEAD + self._threads:
+                    ahead.append(pool.submit(self._loaded, parts.popleft(), epoch))
+                yield ahead.popleft().result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def _loaded(self, examples: Sequence[Example], epoch: int) -> Batch:
+        began = time.thread_time()
+        config = self._cache.config
+        clips = [self._cache.clip(example) for example in examples]
+        lengths = [len(clip.frames) for clip in clips]
+        shape = (len(clips), max(lengths), config.channels, config.size_px, config.size_px)
+        frames: NDArray[np.float32] = np.empty(shape, dtype=np.float32)
+        for place, (example, clip) in enumerate(zip(examples, clips, strict=True)):
+            pixels = clip.frames
+            if self._training is not None and self._training.augmentation > 0.0:
+                # By epoch and number, so that it hangs neither on the order nor on who prepares it.
+                rng = np.random.default_rng([self._training.seed, epoch, example.number])
+                pixels = augmented(pixels, rng, self._training)
+            frames[place, : lengths[place]] = network_input(pixels, config)
+            frames[place, lengths[place] :] = frames[place, lengths[place] - 1]
+        return Batch(
+            torch.from_numpy(frames),
+            torch.tensor([clip.critical for clip in clips], dtype=torch.int64),
+            torch.tensor(lengths, dtype=torch.int64),
+            torch.tensor([0.0 if example.success else 1.0 for example in examples]),
+            time.thread_time() - began,
+        )
+
+
+def epoch_order(count: int, *, seed: int, epoch: int, rank: int = 0, ranks: int = 1) -> list[int]:
+    """The order in which a process takes its examples in an epoch.
+
+    Args:
+        count: of all examples.
+        seed: of the training.
+        epoch: from 0.
+        rank: of the process.
+        ranks: how many processes there are. All take equally many: where they do not come out even, the first
+            examples of the order are taken twice.
+    """
+    order = np.random.default_rng([seed, epoch]).permutation(count)
+    whole = np.resize(order, -(-count // ranks) * ranks)
+    return [int(index) for index in whole[rank::ranks]]

@@ -1,0 +1,311 @@
+"""A network while it learns: its epochs, its loss, and all of its state that the next epoch depends on."""
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+
+from classifier.batches import Batch, ClipBatches, epoch_order
+from classifier.checkpoint import save_model
+from classifier.clips import ClipCache
+from classifier.configuration import NetworkConfig
+from classifier.examples import Example
+from classifier.metrics import fitted_temperature, probability
+from classifier.network import VideoClassifier
+from classifier.ranks import Ranks
+from classifier.resnet import load_imagenet_weights
+from classifier.training_config import TrainingConfig
+from config.errors import RefusedInput
+from sim_core.frames import Array
+
+OnStep = Callable[[int, float, float], None]
+"""Told the epoch's number, the share of it that is done, and the loss of the last step."""
+_MOST_THREADS = 4
+"""That prepare batches: a GPU may need so many, a processor one."""
+_LOWEST_RATE = 0.01
+"""Of the learning rate, at the end of a cosine."""
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """What an epoch came to.
+
+    Attributes:
+        number: from 1.
+        train_loss: weighted binary cross-entropy, while training and with augmentation.
+        validation_loss: the same on the validation tests.
+        validation_accuracy: share of them that are judged right.
+        learning_rate: at its end.
+        seconds: that it took, validation and all [s].
+        frames_hz: frames that were trained on a second, in all processes.
+        compute_share: of the epoch that the network was at work; the rest is waiting for clips.
+        loading_share: processor time of the threads that prepare clips, of the epoch.
+        is_best: whether the validation loss was lower than ever.
+        left_s: at most, until the training ends [s].
+    """
+
+    number: int
+    train_loss: float
+    validation_loss: float
+    validation_accuracy: float
+    learning_rate: float
+    seconds: float
+    frames_hz: float
+    compute_share: float
+    loading_share: float
+    is_best: bool
+    left_s: float
+
+
+class Learner:
+    """A network with its optimiser, and how far they are.
+
+    Args:
+        network: what to train.
+        training: how.
+        examples: to learn from.
+        ranks: processes that train it.
+        weights: of ImageNet for the backbone.
+    """
+
+    def __init__(
+        self,
+        network: NetworkConfig,
+        training: TrainingConfig,
+        examples: Sequence[Example],
+        ranks: Ranks,
+        weights: Path | None,
+    ) -> None:
+        self.epochs: list[Epoch] = []
+        self._training, self._examples, self._ranks = training, examples, ranks
+        torch.manual_seed(training.seed)
+        self._model = VideoClassifier(network)
+        if weights is not None:
+            load_imagenet_weights(self._model.backbone, weights)
+        self._model.to(ranks.device)
+        self._joint: nn.Module = DistributedDataParallel(self._model) if ranks.count > 1 else self._model
+        self._optimiser = torch.optim.AdamW(
+            self._model.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
+        )
+        self._loss = Loss(examples, training.success_weight)
+        self._threads = max(1, min(_MOST_THREADS, len(os.sched_getaffinity(0)) // (2 * ranks.count)))
+        self._validation_logits: Array = np.zeros(0)
+        self._validation_success: Array = np.zeros(0)
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all epochs are over, or none was better for too long."""
+        best = max((epoch.number for epoch in self.epochs if epoch.is_best), default=0)
+        done = len(self.epochs)
+        return done >= self._training.epochs or done - best >= self._training.patience
+
+    def state(self) -> dict[str, Any]:
+        """All that the next epoch depends on; its random numbers follow from seed and epoch."""
+        return {
+            "model": self._model.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "epochs": [asdict(epoch) for epoch in self.epochs],
+        }
+
+    def digest(self) -> str:
+        """SHA-256 of all weights and running means."""
+        digest = hashlib.sha256()
+        for value in self._model.state_dict().values():
+            digest.update(value.cpu().contiguous().numpy().tobytes())
+        return digest.hexdigest()
+
+    def restore(self, state: dict[str, Any] | None) -> None:
+        """Goes back to a state; None is the beginning."""
+        if state is not None:
+            self._model.load_state_dict(state["model"])
+            self._optimiser.load_state_dict(state["optimiser"])
+            self.epochs = [Epoch(**epoch) for epoch in state["epochs"]]
+
+    def epoch(self, clips: ClipCache, validation: Sequence[Example], on_step: OnStep | None) -> Epoch:
+        """Trains for one epoch, and judges the validation tests.
+
+        Raises:
+            RefusedInput: the loss is no longer finite.
+        """
+        began, number = time.perf_counter(), len(self.epochs)
+        watch = Watch()
+        train_loss, frames = self._trained(clips, number, watch, on_step)
+        trained_s = time.perf_counter() - began
+        self._ranks.share_buffers(self._model)
+        validation_loss, accuracy = self._validated(clips, validation, watch)
+        if not np.isfinite(train_loss + validation_loss):
+            limit = "makes the loss grow beyond all bounds; name a lower one"
+            raise RefusedInput("training.learning_rate", self._training.learning_rate, limit)
+        seconds = time.perf_counter() - began
+        best = min((epoch.validation_loss for epoch in self.epochs), default=float("inf"))
+        found = Epoch(
+            number=number + 1,
+            train_loss=train_loss,
+            validation_loss=validation_loss,
+            validation_accuracy=accuracy,
+            learning_rate=float(self._optimiser.param_groups[0]["lr"]),
+            seconds=seconds,
+            frames_hz=frames / trained_s,
+            compute_share=watch.compute_s / seconds,
+            loading_share=watch.loading_s / seconds,
+            is_best=validation_loss < best,
+            left_s=seconds * (self._training.epochs - number - 1),
+        )
+        self.epochs.append(found)
+        return found
+
+    def keep_best(self, folder: Path, told: dict[str, Any]) -> None:
+        """Writes the network as it is, with temperature and threshold from the validation tests.
+
+        Training weighs passes w times as much, which makes every odds of failure w times too small. So ln w is added to
+        the network's last bias, and the threshold moves with it: probabilities come out right, verdicts as trained.
+        """
+        weighing = float(np.log(self._loss.success_weight))
+        model = VideoClassifier(self._model.config)
+        model.load_state_dict(self._model.state_dict())
+        with torch.no_grad():
+            model.output.bias.add_(weighing)
+        temperature = fitted_temperature(
+            self._validation_success.astype(bool), -(self._validation_logits + weighing)
+        )
+        epoch = self.epochs[-1]
+        best = {
+            "epoch": epoch.number,
+            "validation_loss": epoch.validation_loss,
+            "validation_accuracy": epoch.validation_accuracy,
+            "success_weight": self._loss.success_weight,
+            "temperature": temperature,
+            "threshold": float(probability(np.array(weighing / temperature))),
+        }
+        save_model(folder, model.cpu(), {**told, **best})
+
+    def _trained(
+        self, clips: ClipCache, number: int, watch: "Watch", on_step: OnStep | None
+    ) -> tuple[float, int]:
+        """Mean loss of an epoch, and how many frames all processes saw."""
+        training, ranks = self._training, self._ranks
+        order = epoch_order(
+            len(self._examples), seed=training.seed, epoch=number, rank=ranks.rank, ranks=ranks.count
+        )
+        torch.manual_seed(int(np.random.default_rng([training.seed, number, ranks.rank]).integers(2**62)))
+        source = ClipBatches(clips, batch=training.batch, training=training, threads=self._threads)
+        stream = iter(watch.waiting(source.batches([self._examples[k] for k in order], epoch=number)))
+        step_clips = training.batch * training.accumulation
+        steps = -(-len(order) // step_clips)
+        total, frames = 0.0, 0
+        self._joint.train()
+        for step in range(steps):
+            inside = min(step_clips, len(order) - step * step_clips)
+            rate = learning_rate(training, number + (step + 1) / steps)
+            for group in self._optimiser.param_groups:
+                group["lr"] = rate
+            self._optimiser.zero_grad(set_to_none=True)
+            loss, batches = 0.0, -(-inside // training.batch)
+            for place in range(batches):
+                batch = next(stream)
+                frames += batch.frame_count
+                # Processes add up their gradients only once a step.
+                apart = isinstance(self._joint, DistributedDataParallel) and place + 1 < batches
+                with self._joint.no_sync() if apart else nullcontext():  # type: ignore[operator]
+                    part = self._loss(self._logits(batch), batch) / inside
+                    part.backward()  # type: ignore[no-untyped-call]
+                loss += float(part.detach())
+            self._optimiser.step()
+            total += loss * inside
+            if on_step is not None:
+                on_step(number + 1, (step + 1) / steps, loss)
+        next(stream, None)
+        sums = ranks.gathered((total, len(order), frames))
+        return sum(row[0] for row in sums) / sum(row[1] for row in sums), sum(row[2] for row in sums)
+
+    def _validated(
+        self, clips: ClipCache, examples: Sequence[Example], watch: "Watch"
+    ) -> tuple[float, float]:
+        """Loss and share of right verdicts on examples, shared out to all processes."""
+        ranks = self._ranks
+        source = ClipBatches(clips, batch=self._training.batch, threads=self._threads)
+        self._model.eval()
+        mine: list[tuple[float, float, float]] = []
+        with torch.no_grad():
+            for batch in watch.waiting(source.batches(examples[ranks.rank :: ranks.count])):
+                logits = self._logits(batch, model=self._model)
+                losses = self._loss.each(logits, batch)
+                mine += zip(logits.tolist(), losses.tolist(), batch.failed.tolist(), strict=True)
+        rows = np.array([row for part in ranks.gathered(mine) for row in part])
+        self._validation_logits, self._validation_success = rows[:, 0], 1.0 - rows[:, 2]
+        return float(rows[:, 1].mean()), float(((rows[:, 0] > 0.0) == (rows[:, 2] > 0.5)).mean())
+
+    def _logits(self, batch: Batch, *, model: nn.Module | None = None) -> Tensor:
+        """Logits of failure, shape [batch], on the processor's own precision or, on a GPU, half of it."""
+        device = self._ranks.device
+        with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
+            logits, _ = (model if model is not None else self._joint)(
+                batch.frames.to(device), batch.critical.to(device), batch.lengths.to(device)
+            )
+        return logits.float()  # type: ignore[no-any-return]
+
+
+class Loss:
+    """Weighted binary cross-entropy; the weights of all training tests have the mean 1.
+
+    Args:
+        examples: to learn from.
+        success_weight: see ``TrainingConfig``.
+    """
+
+    def __init__(self, examples: Sequence[Example], success_weight: float | None) -> None:
+        passed = sum(example.success for example in examples)
+        failed = len(examples) - passed
+        self.success_weight = max(1.0, failed / passed) if success_weight is None else success_weight
+        self._unit = len(examples) / (failed + self.success_weight * passed)
+
+    def each(self, logits: Tensor, batch: Batch) -> Tensor:
+        """The loss of each clip, shape [batch]."""
+        failed = batch.failed.to(logits.device)
+        weight = self._unit * torch.where(failed > 0.5, 1.0, self.success_weight)
+        return weight * nn.functional.binary_cross_entropy_with_logits(logits, failed, reduction="none")
+
+    def __call__(self, logits: Tensor, batch: Batch) -> Tensor:
+        """The losses' sum."""
+        return self.each(logits, batch).sum()
+
+
+class Watch:
+    """Tells how long the network works on batches, and how long it waits for them."""
+
+    def __init__(self) -> None:
+        self.compute_s = self.loading_s = 0.0
+
+    def waiting(self, batches: Iterable[Batch]) -> Iterator[Batch]:
+        """The same batches; what happens between asking for two of them counts as work."""
+        for batch in batches:
+            self.loading_s += batch.loading_s
+            began = time.perf_counter()
+            yield batch
+            self.compute_s += time.perf_counter() - began
+
+
+def learning_rate(training: TrainingConfig, done: float) -> float:
+    """The learning rate of a step.
+
+    Args:
+        training: says how it goes.
+        done: epochs that are over after the step.
+    """
+    rate = training.learning_rate
+    if done < training.warmup_epochs:
+        return rate * done / training.warmup_epochs
+    if training.schedule == "constant":
+        return rate
+    span = max(1.0e-9, training.epochs - training.warmup_epochs)
+    share = min(1.0, (done - training.warmup_epochs) / span)
+    return rate * (_LOWEST_RATE + (1.0 - _LOWEST_RATE) * 0.5 * (1.0 + float(np.cos(np.pi * share))))
