@@ -79,8 +79,8 @@ PARTS = (
     ),
     OptionalPart(
         "recording", "an MCAP bag of every message",
-        option="with_bag", imports=("recordings", "msgs_adapters", "mcap", "zstandard"),
-        enters=("recordings.", "msgs_adapters."),
+        option="with_bag", imports=("recordings.test_bag", "recordings.bag_writer", "msgs_adapters", "mcap", "zstandard"),
+        enters=("recordings.test_bag:", "recordings.bag_writer:", "msgs_adapters."),
     ),
     OptionalPart(
         "report_page", "the report as a page with figures",

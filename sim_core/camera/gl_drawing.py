@@ -202,9 +202,8 @@ class GlDrawing:
 
 def _near_ones_first(mesh: Mesh, scene: Scene, view: CameraView) -> Mesh:
     """The mesh with its bodies drawn from the camera backwards, so that what is hidden is not coloured first."""
-    places = np.zeros((PALLET + 1 + len(scene.packages), 3))
-    places[PALLET + 1 :] = [package.position_m for package in scene.packages]
-    depths = view.in_optical(places)[:, 2]
+    places = [np.zeros(3)] * (PALLET + 1) + [np.array(package.position_m) for package in scene.packages]
+    depths = view.in_optical(np.array(places))[:, 2]
     order = np.argsort(depths[mesh.bodies[mesh.triangles[:, 0]]], kind="stable")
     return replace(mesh, triangles=mesh.triangles[order])
 
