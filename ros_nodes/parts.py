@@ -79,7 +79,8 @@ PARTS = (
     ),
     OptionalPart(
         "recording", "an MCAP bag of every message",
-        option="with_bag", imports=("recordings.test_bag", "recordings.bag_writer", "msgs_adapters", "mcap", "zstandard"),
+        option="with_bag",
+        imports=("recordings.test_bag", "recordings.bag_writer", "msgs_adapters", "mcap", "zstandard"),
         enters=("recordings.test_bag:", "recordings.bag_writer:", "msgs_adapters."),
     ),
     OptionalPart(
