@@ -125,7 +125,8 @@ def _told_by_bag(bag: Path, label: Label) -> str:
     try:
         scene, judge = judge_bag(bag)
     except PalletTwinError as error:
-        return str(error)
+        # A load that never came to rest has a bag without a frame, and nothing to judge.
+        return _told_by_label(label) if label.ended_by is not None and not label.states else str(error)
     judged = judgement(scene, judge, is_complete=label.ended_by is None)
     first = judge.first_failure()
     states = set()
