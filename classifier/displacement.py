@@ -1,11 +1,7 @@
 """Displacement measured from the pictures that the network sees, as features for a plain baseline."""
 
-import os
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 
 import cv2
@@ -14,11 +10,10 @@ import numpy as np
 from classifier.clips import stamped_pictures_in
 from classifier.examples import Example
 from classifier.rows import Row, Rows
-from config.errors import PalletTwinError, RefusedInput
+from classifier.side_by_side import side_by_side
+from config.errors import PalletTwinError
 from recordings.bag_pictures import calibration_of_bag
 from recordings.bag_reader import BagReader
-from recordings.campaigns.one_test import prepare_worker
-from recordings.campaigns.workers import ONE_THREAD
 from recordings.judge_bag import scene_of_bag
 from sim_core.frames import Array
 from sim_core.judge import BAND_COUNT
@@ -57,7 +52,7 @@ def measured_features(
     if on_row is not None:
         for _ in range(len(examples) - len(missing)):
             on_row()
-    for key, row in _made(missing, workers):
+    for key, row in side_by_side(_measured, missing, workers):
         rows.add(key, row)
         if on_row is not None:
             on_row()
@@ -111,24 +106,6 @@ def _enlarged(matrix: Array, times: int) -> Array:
 
 def _key(example: Example) -> str:
     return f"{FORMAT} {example.label.bag_sha256}"
-
-
-def _made(missing: dict[str, Path], workers: int) -> Iterator[tuple[str, Row]]:
-    if workers <= 1 or len(missing) <= 1:
-        for key, bag in missing.items():
-            yield key, _measured(bag)
-        return
-    os.environ.update(ONE_THREAD)
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=prepare_worker)
-    try:
-        running = {pool.submit(_measured, bag): key for key, bag in missing.items()}
-        for done in as_completed(running):
-            yield running[done], done.result()
-    except BrokenProcessPool:
-        limit = "one was killed, for lack of memory for instance; the same command goes on"
-        raise RefusedInput("workers", workers, limit) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _measured(bag: Path) -> Row:

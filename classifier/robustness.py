@@ -1,13 +1,10 @@
 """What a model loses where camera, light, print or JPEG are others than in training: tests drawn anew, each alone."""
 
 import json
-import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -19,9 +16,8 @@ from classifier.frames import PreparedClip, prepared_clip
 from classifier.metrics import Figure, figures, gain
 from classifier.rows import Rows
 from classifier.running import Judge
-from config.errors import PalletTwinError, RefusedInput
-from recordings.campaigns.one_test import prepare_worker
-from recordings.campaigns.workers import ONE_THREAD
+from classifier.side_by_side import side_by_side
+from config.errors import PalletTwinError
 from recordings.draw_bag import draw_bag
 from sim_core.camera.jpeg import jpeg_of, picture_of
 from sim_core.frames import Array
@@ -164,7 +160,7 @@ def measure_robustness(
     if on_row is not None:
         for _ in range(len(wanted) - len(tasks)):
             on_row()
-    for key, clip in _clips(tasks, judge.model.config, workers):
+    for key, clip in side_by_side(partial(_clip, config=judge.model.config), tasks, workers):
         row: dict[str, object] = {"refused": clip}
         if isinstance(clip, PreparedClip):
             row = {"logit": judge.judge(clip).logit, "followed": clip.followed}
@@ -231,27 +227,6 @@ def _drawn(random: np.random.Generator, ranges: Ranges) -> float:
 
 
 Task = tuple[Path, list[str], int | None]
-
-
-def _clips(
-    tasks: dict[str, Task], config: NetworkConfig, workers: int
-) -> Iterator[tuple[str, PreparedClip | str]]:
-    """Each task's clip, or why there is none, as they are done."""
-    if workers <= 1 or len(tasks) <= 1:
-        for key, task in tasks.items():
-            yield key, _clip(task, config)
-        return
-    os.environ.update(ONE_THREAD)
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"), initializer=prepare_worker)
-    try:
-        running = {pool.submit(_clip, task, config): key for key, task in tasks.items()}
-        for done in as_completed(running):
-            yield running[done], done.result()
-    except BrokenProcessPool:
-        limit = "one was killed, for lack of memory for instance; the same command goes on"
-        raise RefusedInput("workers", workers, limit) from None
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _clip(task: Task, config: NetworkConfig) -> PreparedClip | str:
