@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 
 from classifier.frames import Pixels
+from classifier.load_motion import CHANNELS, packed_displacement, unpacked_displacement
 from classifier.training_config import TrainingConfig
 
 
@@ -11,10 +12,11 @@ def augmented(frames: Pixels, rng: np.random.Generator, training: TrainingConfig
     """A clip as another camera might have seen it.
 
     Each of four changes comes with the probability ``training.augmentation``: another size, other colours, mirrored
-    left to right, turned. What comes in from beyond the border repeats it.
+    left to right, turned. What comes in from beyond the border repeats it. Displacement is turned and mirrored with the
+    picture; another size leaves it as it is, since it is in metres and heights of the load.
 
     Args:
-        frames: shape [time, size, size, 3] or [time, size, size, 1]; not changed.
+        frames: as they are stored, shape [time, size, size, depth]; not changed.
         rng: says what changes, and by how much; it draws as often whatever happens.
         training: how much at most.
 
@@ -28,7 +30,12 @@ def augmented(frames: Pixels, rng: np.random.Generator, training: TrainingConfig
     angle = rng.uniform(-training.rotation_deg, training.rotation_deg) * wanted[3]
     if scale != 1.0 or mirrored or angle:
         frames = _moved(frames, float(scale), float(angle), mirrored=mirrored)
-    return _recoloured(frames, *colour) if colour.any() else frames
+    if not colour.any():
+        return frames
+    if frames.shape[3] != CHANNELS:
+        return _recoloured(frames, *colour)
+    # Light changes what is seen and not what has moved.
+    return np.concatenate((_recoloured(frames[..., :1], *colour), frames[..., 1:]), axis=3)
 
 
 def _moved(frames: Pixels, scale: float, angle_deg: float, *, mirrored: bool) -> Pixels:
@@ -45,6 +52,10 @@ def _moved(frames: Pixels, scale: float, angle_deg: float, *, mirrored: bool) ->
             frames[number], matrix, (width, height), flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
         moved[number] = seen.reshape(height, width, depth)
+    if depth == CHANNELS:
+        turned = (matrix[:, :2].T / scale).astype(np.float32)
+        for pair in (slice(1, 3), slice(3, 5)):
+            moved[..., pair] = packed_displacement(unpacked_displacement(moved[..., pair]) @ turned)
     return moved
 
 

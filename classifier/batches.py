@@ -15,6 +15,7 @@ from classifier.augmentation import augmented
 from classifier.clips import ClipCache
 from classifier.examples import Example
 from classifier.frames import network_input
+from classifier.guidance import GUIDES, Guide, GuideCache
 from classifier.training_config import TrainingConfig
 
 _AHEAD = 1
@@ -30,6 +31,7 @@ class Batch:
         critical: frame that changed most, of each, shape [batch].
         lengths: frames of each, shape [batch].
         failed: 1 for a failed test, 0 for a passed one, shape [batch].
+        guide: what each frame is guided by, shape [batch, time, GUIDES]; NaN behind a clip's length; None without.
         loading_s: processor time that it took to prepare [s].
     """
 
@@ -37,6 +39,7 @@ class Batch:
     critical: Tensor
     lengths: Tensor
     failed: Tensor
+    guide: Tensor | None
     loading_s: float
 
     @property
@@ -53,12 +56,20 @@ class ClipBatches:
         batch: clips in each but the last.
         training: for the augmentation; None leaves the clips as they are.
         threads: that prepare batches; what they give does not depend on it.
+        guides: where true displacement is; None for batches without it.
     """
 
     def __init__(
-        self, cache: ClipCache, *, batch: int, training: TrainingConfig | None = None, threads: int = 1
+        self,
+        cache: ClipCache,
+        *,
+        batch: int,
+        training: TrainingConfig | None = None,
+        threads: int = 1,
+        guides: GuideCache | None = None,
     ) -> None:
         self._cache, self._batch, self._training, self._threads = cache, batch, training, threads
+        self._guides = guides
 
     def batches(self, examples: Sequence[Example], *, epoch: int = 0) -> Iterator[Batch]:
         """The examples' batches, in order.
@@ -88,6 +99,7 @@ class ClipBatches:
         lengths = [len(clip.frames) for clip in clips]
         shape = (len(clips), max(lengths), config.channels, config.size_px, config.size_px)
         frames: NDArray[np.float32] = np.empty(shape, dtype=np.float32)
+        guide: Guide = np.full((*shape[:2], GUIDES), np.nan, dtype=np.float32)
         for place, (example, clip) in enumerate(zip(examples, clips, strict=True)):
             pixels = clip.frames
             if self._training is not None and self._training.augmentation > 0.0:
@@ -96,11 +108,14 @@ class ClipBatches:
                 pixels = augmented(pixels, rng, self._training)
             frames[place, : lengths[place]] = network_input(pixels, config)
             frames[place, lengths[place] :] = frames[place, lengths[place] - 1]
+            if self._guides is not None:
+                guide[place, : lengths[place]] = self._guides.guide(example)[clip.numbers]
         return Batch(
             torch.from_numpy(frames),
             torch.tensor([clip.critical for clip in clips], dtype=torch.int64),
             torch.tensor(lengths, dtype=torch.int64),
             torch.tensor([0.0 if example.success else 1.0 for example in examples]),
+            torch.from_numpy(guide) if self._guides is not None else None,
             time.thread_time() - began,
         )
 

@@ -31,7 +31,7 @@ def save_model(folder: Path, model: VideoClassifier, told: Mapping[str, Any]) ->
     folder.mkdir(parents=True, exist_ok=True)
     write_tensors(folder / WEIGHTS, {name: value.contiguous() for name, value in model.state_dict().items()})
     write_text(folder / NETWORK, model.config.to_json())
-    write_text(folder / TOLD, json.dumps({"format": FORMAT, **told}, indent=1, allow_nan=False))
+    write_text(folder / TOLD, json.dumps({**told, "format": FORMAT}, indent=1, allow_nan=False))
 
 
 def load_model(folder: Path) -> tuple[VideoClassifier, dict[str, Any]]:

@@ -25,7 +25,7 @@ from recordings.campaigns.workers import ONE_THREAD
 from recordings.draw_bag import draw_bag
 from recordings.judge_bag import scene_of_bag
 
-FORMAT = 1
+FORMAT = 3
 """Version of prepared clips on disk; raise it when their layout, or what ``classifier.frames`` makes, changes."""
 
 OnClip = Callable[[int, int, object], None]
@@ -121,11 +121,7 @@ class ClipCache:
             return clip_from_bytes(path.read_bytes())
         except (OSError, ValueError, zstandard.ZstdError):
             pass
-        found = _digest_of(bag)
-        if found != bag_sha256:
-            raise BrokenRecording(
-                "bag", str(bag), f"has the digest {found[:12]}…, its label {bag_sha256[:12]}…"
-            )
+        require_digest(bag, bag_sha256)
         clip = clip_of_bag(bag, self.config)
         try:
             self._own.mkdir(parents=True, exist_ok=True)
@@ -213,6 +209,17 @@ def clip_from_bytes(content: bytes) -> PreparedClip:
     for number in range(1, time):
         frames[number] += frames[number - 1]
     return PreparedClip(frames, numbers, head["critical"], change, head["followed"], head["remark"])
+
+
+def require_digest(bag: Path, bag_sha256: str) -> None:
+    """Refuses a bag that is not the one that a label was given for.
+
+    Raises:
+        BrokenRecording: it is not, or cannot be read.
+    """
+    found = _digest_of(bag)
+    if found != bag_sha256:
+        raise BrokenRecording("bag", str(bag), f"has the digest {found[:12]}…, its label {bag_sha256[:12]}…")
 
 
 def _digest_of(bag: Path) -> str:

@@ -7,8 +7,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from config.errors import RefusedInput
 
 Backbone = Literal["resnet18", "resnet34", "resnet50"]
-Mode = Literal["rgb", "change"]
+Mode = Literal["rgb", "change", "motion"]
 Preset = Literal["paper", "compact"]
+
+_CHANNELS: dict[Mode, tuple[int, ...]] = {"rgb": (3,), "change": (1, 3), "motion": (6,)}
 
 EXPANSION: dict[Backbone, int] = {"resnet18": 1, "resnet34": 1, "resnet50": 4}
 """Channels that a residual block gives, in multiples of its width."""
@@ -19,10 +21,11 @@ class NetworkConfig(BaseModel):
 
     Attributes:
         mode: ``rgb``: the whole picture in colour; ``change``: a crop that rides on the sled, as its grey, the first
-            picture's grey and what has changed between the two.
+            picture's grey and what has changed between the two; ``motion``: the same load's grey in the first picture,
+            how far each part of it has moved since, and what that does not explain.
         size_px: edge of a frame, which is square [px].
         frames: how many of a clip are looked at; None: all of them.
-        channels: of a frame; 3, or 1 for the change alone.
+        channels: of a frame; 3, or 1 for the change alone; 6 for motion.
         backbone: which residual network sees each frame.
         base_width: channels of its first stage; 64 is the usual one. The last has eight times as many (ResNet-50: 32).
         lstm_units: a direction.
@@ -49,7 +52,7 @@ class NetworkConfig(BaseModel):
 
     @model_validator(mode="after")
     def _frames_have_the_channels_of_their_mode(self) -> Self:
-        if self.channels not in (choices := (3,) if self.mode == "rgb" else (1, 3)):
+        if self.channels not in (choices := _CHANNELS[self.mode]):
             raise ValueError(f"channels {self.channels} must be one of {choices} where mode is {self.mode}")
         return self
 
@@ -116,15 +119,16 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "fused_features": 512,
     },
     "compact": {
-        "mode": "change",
-        "size_px": 112,
+        "mode": "motion",
+        "size_px": 64,
         "frames": 24,
+        "channels": 6,
         "backbone": "resnet18",
         "base_width": 16,
         "lstm_units": 64,
         "critical_features": 32,
         "fused_features": 64,
         "dropout": 0.2,
-        "chunk_frames": 48,
+        "chunk_frames": 192,
     },
 }

@@ -7,10 +7,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from classifier.configuration import NetworkConfig
+from classifier.configuration import Mode, NetworkConfig
 from classifier.load_crop import LoadCrop, change_of, crop_square
+from classifier.load_motion import CHANNELS, LoadFollower, mean_displacement, packed_motion
 from classifier.sled_board import BoardFollower, find_board
-from classifier.sled_motion import fitted_motion
+from classifier.sled_motion import SledMotion, fitted_motion
 from config.errors import RefusedInput
 from sim_core.frames import Array
 
@@ -22,6 +23,10 @@ IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225])
 GREY_MEAN, GREY_DEVIATION = 0.449, 0.226
 CHANGE_LEVELS = 48.0
 """Grey levels of change that count as one."""
+MOTION_SCALE = (4.0, 4.0, 3.0, 3.0)
+"""Of the roots of displacements in heights and in metres: 0.06 of the height, or 0.1 m, count as about one."""
+DEPTH: dict[Mode, int] = {"rgb": 3, "change": 1, "motion": CHANNELS}
+"""Bytes of a stored pixel."""
 WORST_RESIDUAL_PX = 1.0
 """A sled whose targets fit no straight travel better than this is not followed, in a picture of 480 columns."""
 
@@ -31,11 +36,13 @@ class PreparedClip:
     """A clip as it is stored and shown to the network.
 
     Attributes:
-        frames: shape [time, size, size, 3] (red, green, blue) or [time, size, size, 1] (grey crop).
+        frames: shape [time, size, size, 3] (red, green, blue), [time, size, size, 1] (grey crop) or
+            [time, size, size, 6] (see ``classifier.load_motion``).
         numbers: of the pictures that they were made of, ascending from 0, shape [time].
         critical: which of the frames changed most.
-        change: of every picture of the clip against the first one [grey levels], shape [picture_count].
-        followed: whether the sled was followed; if not, frames are whole pictures.
+        change: of every picture of the clip against the first one, shape [picture_count]; where motion is looked at,
+            the load's mean displacement [mm], else grey levels.
+        followed: whether the sled was followed; if not, crops are whole pictures, and displacement is on the picture.
         remark: how well it was followed, or why not.
     """
 
@@ -60,6 +67,7 @@ class ClipTaker:
         self._colours: list[Pixels] = []
         self._places: list[Array] = []
         self._follower: BoardFollower | None = None
+        self._load: LoadFollower | None = None
 
     def take(self, picture: Pixels) -> None:
         """Takes the next picture: red, green and blue, shape [height, width, 3].
@@ -78,6 +86,10 @@ class ClipTaker:
             raise RefusedInput("picture", picture.shape, f"must be {height} by {width} by 3, as the first")
         if self._follower is not None:
             self._places.append(self._follower.follow(grey))
+        if self._config.mode == "motion":
+            if self._load is None:
+                self._load = LoadFollower(grey, self._board)
+            self._load.follow(grey, self._places[-1] if self._places else None)
         self._greys.append(grey)
         if self._config.mode == "rgb":
             self._colours.append(_resized(picture, self._config.size_px))
@@ -91,7 +103,10 @@ class ClipTaker:
         if len(self._greys) < 2:
             raise RefusedInput("pictures", len(self._greys), "must be at least 2")
         size = self._config.size_px
-        crop, remark = self._crop(size)
+        motion, remark = self._motion()
+        if self._load is not None:
+            return self._followed(self._load, motion, remark)
+        crop = self._crop(motion, size) if motion is not None else None
         if crop is None:
             crops = np.stack([_resized(grey, size) for grey in self._greys])
         else:
@@ -103,18 +118,43 @@ class ClipTaker:
         every = np.stack(self._colours) if self._colours else crops[..., None]
         return PreparedClip(every[numbers], numbers, critical, change, crop is not None, remark)
 
-    def _crop(self, size: int) -> tuple[LoadCrop | None, str]:
-        """What cuts the load out, and a word on it."""
+    def _followed(self, load: LoadFollower, motion: SledMotion | None, remark: str) -> PreparedClip:
+        """The clip as displacement on the sled."""
+        size, count = self._config.size_px, len(self._greys)
+        square = None
+        if self._board is not None and motion is not None:
+            square = crop_square(self._greys, self._board, motion)
+        outline = load.outline(square.load if square is not None else None)
+        moved = [load.displacement(number, motion) for number in range(count)]
+        change = 1000.0 * np.array([mean_displacement(displacement, outline) for displacement in moved])
+        peak = int(change.argmax())
+        numbers = chosen_numbers(count, self._config.frames, peak)
+        frames = [
+            packed_motion(load.grey, moved[number], load.followed[number].unlike, outline, size)
+            for number in numbers
+        ]
+        critical = int(np.searchsorted(numbers, peak))
+        return PreparedClip(np.stack(frames), numbers, critical, change, motion is not None, remark)
+
+    def _motion(self) -> tuple[SledMotion | None, str]:
+        """How the sled moves, and a word on it."""
         if self._board is None:
-            return None, "whole pictures: no board with targets in the first one"
+            return None, "sled not followed: no board with targets in the first one"
         height, width = self._greys[0].shape
         motion = fitted_motion(np.stack(self._places), (width, height))
         if motion is None:
-            return None, "whole pictures: the sled's targets were lost"
+            return None, "sled not followed: the sled's targets were lost"
         if motion.residual_px > WORST_RESIDUAL_PX * width / 480.0:
-            return None, f"whole pictures: the targets do not move as one, {motion.residual_px:.1f} px apart"
-        square = crop_square(self._greys, self._board, motion)
-        return LoadCrop(square, motion, size), f"sled followed, targets within {motion.residual_px:.2f} px"
+            return (
+                None,
+                f"sled not followed: the targets do not move as one, {motion.residual_px:.1f} px apart",
+            )
+        return motion, f"sled followed, targets within {motion.residual_px:.2f} px"
+
+    def _crop(self, motion: SledMotion, size: int) -> LoadCrop:
+        """What cuts the load out."""
+        assert self._board is not None
+        return LoadCrop(crop_square(self._greys, self._board, motion), motion, size)
 
 
 def prepared_clip(pictures: Iterable[Pixels], config: NetworkConfig) -> PreparedClip:
@@ -154,7 +194,8 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
     """Normalised frames, shape [time, channels, size, size].
 
     ``rgb``: red, green and blue as the public weights expect them. ``change``: the change alone (one channel), or
-    grey, the first frame's grey and the change (three).
+    grey, the first frame's grey and the change (three). ``motion``: grey, displacement along and down in heights of the
+    load and in metres, what it does not explain.
 
     Args:
         frames: of a ``PreparedClip``, or of a part of it that begins with its first frame.
@@ -163,7 +204,7 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
     Raises:
         RefusedInput: the frames are of another kind or size.
     """
-    depth = 3 if config.mode == "rgb" else 1
+    depth = DEPTH[config.mode]
     if frames.ndim != 4 or frames.shape[1:] != (config.size_px, config.size_px, depth):
         raise RefusedInput(
             "frames", frames.shape, f"must be time by {config.size_px} by {config.size_px} by {depth}"
@@ -174,6 +215,12 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
         return np.ascontiguousarray(
             planes * scale[:, None, None].astype(np.float32) - shift[:, None, None].astype(np.float32)
         )
+    if config.mode == "motion":
+        planes[:, 0] = (planes[:, 0] / np.float32(255.0) - np.float32(GREY_MEAN)) / np.float32(GREY_DEVIATION)
+        roots = np.array(MOTION_SCALE, dtype=np.float32) / np.float32(127.0)
+        planes[:, 1:5] = (planes[:, 1:5] - np.float32(128.0)) * roots[:, None, None]
+        planes[:, 5] /= np.float32(CHANGE_LEVELS)
+        return np.ascontiguousarray(planes)
     change = (planes - planes[:1]) / np.float32(CHANGE_LEVELS)
     if config.channels == 1:
         return change

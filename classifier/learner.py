@@ -19,6 +19,7 @@ from classifier.checkpoint import save_model
 from classifier.clips import ClipCache
 from classifier.configuration import NetworkConfig
 from classifier.examples import Example
+from classifier.guidance import GUIDES, GuideCache
 from classifier.metrics import fitted_temperature, probability
 from classifier.network import VideoClassifier
 from classifier.ranks import Ranks
@@ -91,10 +92,10 @@ class Learner:
         self._model = VideoClassifier(network)
         if weights is not None:
             load_imagenet_weights(self._model.backbone, weights)
-        self._model.to(ranks.device)
-        self._joint: nn.Module = DistributedDataParallel(self._model) if ranks.count > 1 else self._model
+        self._guided = Guided(self._model, guided=training.guidance > 0.0).to(ranks.device)
+        self._joint: nn.Module = DistributedDataParallel(self._guided) if ranks.count > 1 else self._guided
         self._optimiser = torch.optim.AdamW(
-            self._model.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
+            self._guided.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
         )
         self._loss = Loss(examples, training.success_weight)
         self._threads = max(1, min(_MOST_THREADS, len(os.sched_getaffinity(0)) // (2 * ranks.count)))
@@ -111,7 +112,7 @@ class Learner:
     def state(self) -> dict[str, Any]:
         """All that the next epoch depends on; its random numbers follow from seed and epoch."""
         return {
-            "model": self._model.state_dict(),
+            "model": self._guided.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "epochs": [asdict(epoch) for epoch in self.epochs],
         }
@@ -126,19 +127,31 @@ class Learner:
     def restore(self, state: dict[str, Any] | None) -> None:
         """Goes back to a state; None is the beginning."""
         if state is not None:
-            self._model.load_state_dict(state["model"])
+            self._guided.load_state_dict(state["model"])
             self._optimiser.load_state_dict(state["optimiser"])
             self.epochs = [Epoch(**epoch) for epoch in state["epochs"]]
 
-    def epoch(self, clips: ClipCache, validation: Sequence[Example], on_step: OnStep | None) -> Epoch:
+    def epoch(
+        self,
+        clips: ClipCache,
+        guides: GuideCache | None,
+        validation: Sequence[Example],
+        on_step: OnStep | None,
+    ) -> Epoch:
         """Trains for one epoch, and judges the validation tests.
+
+        Args:
+            clips: where prepared clips are.
+            guides: where true displacement is; needed with guidance alone.
+            validation: the tests that are judged.
+            on_step: told after each step.
 
         Raises:
             RefusedInput: the loss is no longer finite.
         """
         began, number = time.perf_counter(), len(self.epochs)
         watch = Watch()
-        train_loss, frames = self._trained(clips, number, watch, on_step)
+        train_loss, frames = self._trained(clips, guides, number, watch, on_step)
         trained_s = time.perf_counter() - began
         self._ranks.share_buffers(self._model)
         validation_loss, accuracy = self._validated(clips, validation, watch)
@@ -189,7 +202,12 @@ class Learner:
         save_model(folder, model.cpu(), {**told, **best})
 
     def _trained(
-        self, clips: ClipCache, number: int, watch: "Watch", on_step: OnStep | None
+        self,
+        clips: ClipCache,
+        guides: GuideCache | None,
+        number: int,
+        watch: "Watch",
+        on_step: OnStep | None,
     ) -> tuple[float, int]:
         """Mean loss of an epoch, and how many frames all processes saw."""
         training, ranks = self._training, self._ranks
@@ -197,7 +215,13 @@ class Learner:
             len(self._examples), seed=training.seed, epoch=number, rank=ranks.rank, ranks=ranks.count
         )
         torch.manual_seed(int(np.random.default_rng([training.seed, number, ranks.rank]).integers(2**62)))
-        source = ClipBatches(clips, batch=training.batch, training=training, threads=self._threads)
+        source = ClipBatches(
+            clips,
+            batch=training.batch,
+            training=training,
+            threads=self._threads,
+            guides=guides if training.guidance > 0.0 else None,
+        )
         stream = iter(watch.waiting(source.batches([self._examples[k] for k in order], epoch=number)))
         step_clips = training.batch * training.accumulation
         steps = -(-len(order) // step_clips)
@@ -216,8 +240,10 @@ class Learner:
                 # Processes add up their gradients only once a step.
                 apart = isinstance(self._joint, DistributedDataParallel) and place + 1 < batches
                 with self._joint.no_sync() if apart else nullcontext():  # type: ignore[operator]
-                    part = self._loss(self._logits(batch), batch) / inside
-                    part.backward()  # type: ignore[no-untyped-call]
+                    logits, guess = self._said(self._joint, batch)
+                    part = self._loss(logits, batch) / inside
+                    whole = part + training.guidance * guidance_loss(guess, batch) / inside
+                    whole.backward()  # type: ignore[no-untyped-call]
                 loss += float(part.detach())
             self._optimiser.step()
             total += loss * inside
@@ -237,21 +263,51 @@ class Learner:
         mine: list[tuple[float, float, float]] = []
         with torch.no_grad():
             for batch in watch.waiting(source.batches(examples[ranks.rank :: ranks.count])):
-                logits = self._logits(batch, model=self._model)
+                logits, _ = self._said(self._guided, batch)
                 losses = self._loss.each(logits, batch)
                 mine += zip(logits.tolist(), losses.tolist(), batch.failed.tolist(), strict=True)
         rows = np.array([row for part in ranks.gathered(mine) for row in part])
         self._validation_logits, self._validation_success = rows[:, 0], 1.0 - rows[:, 2]
         return float(rows[:, 1].mean()), float(((rows[:, 0] > 0.0) == (rows[:, 2] > 0.5)).mean())
 
-    def _logits(self, batch: Batch, *, model: nn.Module | None = None) -> Tensor:
-        """Logits of failure, shape [batch], on the processor's own precision or, on a GPU, half of it."""
+    def _said(self, model: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
+        """What a ``Guided`` says, on the processor's own precision or, on a GPU, half of it."""
         device = self._ranks.device
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-            logits, _ = (model if model is not None else self._joint)(
+            logits, guess = model(
                 batch.frames.to(device), batch.critical.to(device), batch.lengths.to(device)
             )
-        return logits.float()  # type: ignore[no-any-return]
+        return logits.float(), None if guess is None else guess.float()
+
+
+class Guided(nn.Module):
+    """The network and, where it is guided, what tells each frame's displacement from its features; that is not kept.
+
+    Args:
+        model: the network.
+        guided: whether it is.
+    """
+
+    def __init__(self, model: VideoClassifier, *, guided: bool) -> None:
+        super().__init__()
+        self.model = model
+        self.guess = nn.Linear(model.config.features, GUIDES) if guided else None
+
+    def forward(self, frames: Tensor, critical: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Logits of failure, shape [batch], and guessed displacement, shape [batch, time, GUIDES]."""
+        features = self.model.features(frames)
+        logits, _ = self.model.judge(features, critical, lengths)
+        return logits, None if self.guess is None else self.guess(features)
+
+
+def guidance_loss(guess: Tensor | None, batch: Batch) -> Tensor:
+    """How far guesses are from true displacement, each clip's mean, summed up; Huber's loss, of logarithms."""
+    if guess is None or batch.guide is None:
+        return torch.zeros(())
+    guide = batch.guide.to(guess.device)
+    known = torch.isfinite(guide)
+    each = nn.functional.smooth_l1_loss(guess, torch.where(known, guide, guess.detach()), reduction="none")
+    return (each.sum(dim=(1, 2)) / known.sum(dim=(1, 2))).sum()
 
 
 class Loss:

@@ -101,6 +101,9 @@ def _uncovered(
     filled = np.flatnonzero(changed[rows[0] :].mean(axis=0) > 0.4)
     if not len(filled):
         return None
+    if deck - float(rows[0]) < 0.7 * half:
+        # No load is that flat: one that looks like what is behind it.
+        return None
     # The load stands in the pallet's middle, so one end tells of the other.
     end = columns.start + (filled[0] if travel_px > 0.0 else filled[-1])
     return max(0.4 * half, min(half, abs(float(end) - middle))), deck - float(rows[0])

@@ -1,10 +1,19 @@
 """The model card: what a model is, what it is for and not for, what it was made from, and how good it is."""
 
+from typing import Any
+
+from classifier.configuration import Mode
 from classifier.evaluation import MOST_LOST, Evaluation
 from classifier.evaluation_page import SPLIT_WORDS, WORDS, shown, unmet
 from classifier.metrics import FIGURES
 from classifier.network import parameter_count
 from classifier.prediction import GUESS
+
+_LOOKS_AT: dict[Mode, str] = {
+    "rgb": "whole pictures in colour",
+    "change": "a grey crop that rides on the sled, and its change",
+    "motion": "the load's grey, and by optical flow how far each part of it has moved on the sled",
+}
 
 
 def model_card(found: Evaluation) -> str:
@@ -25,8 +34,7 @@ def _what(found: Evaluation) -> list[str]:
     judge = found.main.judge
     config = judge.model.config
     frames = "all" if config.frames is None else str(config.frames)
-    crop = "a grey crop that rides on the sled, and its change"
-    looks_at = "whole pictures in colour" if config.mode == "rgb" else crop
+    looks_at = _LOOKS_AT[config.mode]
     return [
         "## What it is",
         "",
@@ -56,8 +64,19 @@ def _made_from(found: Evaluation) -> list[str]:
         f"- Split: {SPLIT_WORDS[found.main.name]}, seed {split.get('seed', 'unknown')}; {schemes} schemes are judged.",
         f"- Digests: model `{found.main.model_key}`, labels `{str(bags.get('sha256', 'unknown'))[:16]}`, code"
         f" `{str(told.get('code', 'unknown'))[:16]}`.",
-        "- Critical frame and crop come from the pictures; nothing of a label reaches the input.",
+        "- Frames, their crop and the critical one come from the pictures; nothing of a label reaches the input.",
+        *_guidance(told),
         "",
+    ]
+
+
+def _guidance(told: dict[str, Any]) -> list[str]:
+    weight = told.get("training", {}).get("guidance", 0.0)
+    if not weight:
+        return []
+    return [
+        "- While it learned, what it sees in each frame was held, with weight"
+        f" {weight:g}, against how far the simulated load truly stood from its place. That part is not kept."
     ]
 
 

@@ -16,7 +16,7 @@ from typing import Any, Self
 from classifier.checkpoint import read_tensors, write_tensors, write_text
 from config.errors import RefusedInput
 
-FORMAT = 1
+FORMAT = 2
 """Version of the folder; raise it when its layout or the meaning of a checkpoint changes."""
 RUN, CHECKPOINT, MODEL, CURVES = "run.json", "checkpoint.pt", "model", "curves.png"
 _SAME = {

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from classifier.checkpoint import load_model
-from classifier.frames import ClipTaker, Pixels, PreparedClip, network_input
+from classifier.frames import DEPTH, ClipTaker, Pixels, PreparedClip, network_input
 from classifier.metrics import probability
 from classifier.network import VideoClassifier
 from config.errors import RefusedInput
@@ -68,7 +68,7 @@ class Judge:
     def warm_up(self) -> None:
         """Judges an empty clip, so that the first real one finds everything in place."""
         config = self.model.config
-        shape = 2, config.size_px, config.size_px, 3 if config.mode == "rgb" else 1
+        shape = 2, config.size_px, config.size_px, DEPTH[config.mode]
         nothing = np.zeros(shape, dtype=np.uint8)
         self.judge(PreparedClip(nothing, np.arange(2), 0, np.zeros(2), False, ""))
 
@@ -98,7 +98,7 @@ class RunningJudge:
     """Takes a test's pictures in order, and judges what it has seen whenever it is asked.
 
     The last answer is that of the whole clip. Frames that stay as they were are seen by the backbone only once: all of
-    them where frames are whole pictures. A crop is cut anew when more of the sled's way is known.
+    them where frames are whole pictures. A crop, or displacement, is made anew when more of the sled's way is known.
 
     Args:
         judge: who judges.

@@ -13,6 +13,7 @@ from classifier.clips import ClipCache, OnClip
 from classifier.configuration import NetworkConfig
 from classifier.curves import write_curves
 from classifier.examples import Example, Split, read_examples, split_at_random, split_by_scheme
+from classifier.guidance import GuideCache
 from classifier.learner import Epoch, Learner, OnStep
 from classifier.ranks import Ranks, joined
 from classifier.run_folder import (
@@ -108,12 +109,19 @@ def train(
             clips = ClipCache(cache if cache is not None else folder / "clips", network)
             used = [examples[index] for index in sorted((*parts.train, *parts.validation))]
             mine = used[ranks.rank :: ranks.count]
-            clips.prepare(mine, workers=workers, on_progress=on_clip if ranks.is_first else None)
+            told_of = on_clip if ranks.is_first else None
+            clips.prepare(mine, workers=workers, on_progress=told_of)
+            guides = GuideCache(clips.folder) if training.guidance > 0.0 else None
+            if guides is not None:
+                learned = [examples[index] for index in parts.train]
+                guides.prepare(learned[ranks.rank :: ranks.count], workers=workers, on_progress=told_of)
             ranks.wait()
             learner = Learner(network, training, [examples[k] for k in parts.train], ranks, weights)
             learner.restore(read_checkpoint(out))
             validation = [examples[index] for index in parts.validation]
-            _run_epochs(learner, validation, clips, out, own, on_step, on_epoch if ranks.is_first else None)
+            _run_epochs(
+                learner, validation, clips, guides, out, own, on_step, on_epoch if ranks.is_first else None
+            )
             ranks.wait()
             counts = len(parts.train), len(parts.validation), len(parts.test)
             return Trained(out / MODEL, tuple(learner.epochs), parts, counts, learner.digest())
@@ -123,6 +131,7 @@ def _run_epochs(
     learner: Learner,
     validation: Sequence[Example],
     clips: ClipCache,
+    guides: GuideCache | None,
     out: Path,
     run: RunFolder | None,
     on_step: OnStep | None,
@@ -136,7 +145,7 @@ def _run_epochs(
         # The run before may have ended between its checkpoint and these.
         _write_progress(out, run, learner)
     while not learner.is_finished:
-        epoch = learner.epoch(clips, validation, on_step)
+        epoch = learner.epoch(clips, guides, validation, on_step)
         if run is not None:
             if epoch.is_best:
                 learner.keep_best(out / MODEL, run.told)

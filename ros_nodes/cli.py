@@ -156,7 +156,8 @@ def up(
     classify: Annotated[
         Path | None,
         typer.Option(
-            metavar="MODEL", help="Have a trained classifier guess from the pictures while it runs."
+            metavar="MODEL",
+            help="Have a trained classifier, such as compact, guess from the pictures while it runs.",
         ),
     ] = None,
     overwrite: OverwriteOption = False,

@@ -1,6 +1,7 @@
 """``pallet-twin evaluate``: what a trained classifier is worth on tests that it never saw."""
 
 import os
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -88,9 +89,12 @@ def evaluate(
 
 
 def model_in(folder: Path) -> Path:
-    """The folder of a model, or that inside the folder of its training."""
+    """The folder of a model, or that inside the folder of its training, or that of a shipped one by its name."""
     inside = folder / "model"
-    return inside if inside.is_dir() else folder
+    if inside.is_dir():
+        return inside
+    shipped = Path(str(files("classifier"))) / "models" / folder
+    return shipped if not folder.exists() and len(folder.parts) == 1 and shipped.is_dir() else folder
 
 
 def require_model(folder: Path, scene: Scene) -> Path:
@@ -104,7 +108,7 @@ def require_model(folder: Path, scene: Scene) -> Path:
     require_torch("--classify")
     found = model_in(folder)
     if not (found / "network.json").is_file():
-        raise RefusedInput("--classify", str(folder), "must be the folder of a trained model")
+        raise RefusedInput("--classify", str(folder), "must be the folder of a trained model, or compact")
     return found
 
 

@@ -18,8 +18,9 @@ def predict(
         Path, typer.Argument(metavar="BAG", help="A bag directory or an .mcap file with pictures.")
     ],
     model: Annotated[
-        Path, typer.Option(metavar="MODEL", help="Folder of a trained model, or of its training.")
-    ],
+        Path,
+        typer.Option(metavar="MODEL", help="Folder of a trained model or of its training, or a shipped one."),
+    ] = Path("compact"),
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the result as one JSON object on standard output.")
     ] = False,
@@ -28,7 +29,7 @@ def predict(
 
     A classifier's guess: `pallet-twin judge BAG` judges by the poses, `pallet-twin measure BAG` measures.
 
-    Example: `pallet-twin predict runs/eur_camera/bag --model runs/paper-compact-scheme`.
+    Example: `pallet-twin predict runs/eur_camera/bag`, with a model of your own `--model runs/paper-compact-scheme`.
     """
     require_torch("predict")
     from classifier.prediction import predict_bag

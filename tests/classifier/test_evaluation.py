@@ -152,9 +152,9 @@ def test_a_campaign_that_is_not_the_models_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("mode", ["change", "rgb"])
-def test_a_running_judge_ends_with_the_answer_of_the_whole_clip(mode: str) -> None:
-    config = small(mode=mode)
+@pytest.mark.parametrize(("mode", "channels"), [("motion", 6), ("change", 3), ("rgb", 3)])
+def test_a_running_judge_ends_with_the_answer_of_the_whole_clip(mode: str, channels: int) -> None:
+    config = small(mode=mode, channels=channels)
     judge = Judge(untrained(config), temperature=2.0)
     pictures = sled_clip(count=9).pictures
     running, answers = RunningJudge(judge), []

@@ -20,7 +20,8 @@ from sim_core.run import run_test
 from tests.classifier.sled_clip import sled_clip
 from tests.sim_core.vision_scenes import stack_scene
 
-EVERY = preset("compact", frames=None)
+CROP = {"mode": "change", "size_px": 112, "channels": 3}
+EVERY = preset("compact", **CROP, frames=None)
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +60,7 @@ def test_what_slides_on_the_load_slides_in_the_crop_by_as_much(clip, prepared):
 
 def test_the_critical_frame_is_that_of_the_largest_slip(clip, prepared):
     assert prepared.critical == int(np.argmax(clip.slip_m))
-    few = prepared_clip(clip.pictures, preset("compact", frames=5))
+    few = prepared_clip(clip.pictures, preset("compact", **CROP, frames=5))
     assert few.numbers[few.critical] == int(np.argmax(clip.slip_m))
     assert len(few.numbers) == 5 and few.numbers[0] == 0 and (np.diff(few.numbers) > 0).all()
     colour = prepared_clip(clip.pictures, preset("paper", size_px=64))
@@ -98,7 +99,7 @@ def test_without_a_board_whole_pictures_are_used_and_it_is_said(kind):
         for _ in range(3)
     ]
     clip = prepared_clip(pictures, EVERY)
-    assert not clip.followed and clip.remark.startswith("whole pictures: no board")
+    assert not clip.followed and clip.remark.startswith("sled not followed: no board")
     whole = cv2.resize(
         cv2.cvtColor(pictures[1], cv2.COLOR_RGB2GRAY), (112, 112), interpolation=cv2.INTER_AREA
     )
@@ -132,7 +133,7 @@ def test_change_is_against_the_first_frame():
     assert given.shape == (3, 3, 112, 112)
     assert (given[0, 2] == 0.0).all() and (given[:, 1] == given[:1, 0]).all()
     assert given[2, 2] == pytest.approx((frames[2, ..., 0].astype(float) - frames[0, ..., 0]) / 48.0)
-    alone = network_input(frames, preset("compact", channels=1))
+    alone = network_input(frames, preset("compact", **{**CROP, "channels": 1}))
     assert alone.shape == (3, 1, 112, 112) and (alone[:, 0] == given[:, 2]).all()
 
 

@@ -26,10 +26,10 @@ def _one_thread():
     torch.set_num_threads(before)
 
 
-def _residual_count(kind: str, width: int) -> int:
+def _residual_count(kind: str, width: int, channels: int = 3) -> int:
     """Weights of a residual network by formula: k²·in·out of each convolution, two a channel of each normalisation."""
     blocks = {"resnet18": (2, 2, 2, 2), "resnet34": (3, 4, 6, 3), "resnet50": (3, 4, 6, 3)}[kind]
-    count, inside = 49 * 3 * width + 2 * width, width
+    count, inside = 49 * channels * width + 2 * width, width
     for stage, number in enumerate(blocks):
         w = width * 2**stage
         outside = 4 * w if kind == "resnet50" else w
@@ -50,9 +50,8 @@ def _count(c: NetworkConfig) -> int:
     attention = context * context + context + context
     critical = c.features * c.critical_features + c.critical_features
     fused = (context + c.critical_features) * c.fused_features + c.fused_features
-    return (
-        _residual_count(c.backbone, c.base_width) + lstm + attention + critical + fused + c.fused_features + 1
-    )
+    residual = _residual_count(c.backbone, c.base_width, c.channels)
+    return residual + lstm + attention + critical + fused + c.fused_features + 1
 
 
 @pytest.mark.parametrize(
@@ -112,10 +111,10 @@ def test_paper_is_the_papers_network_layer_by_layer():
 @pytest.mark.parametrize(("name", "clips", "frames"), [("paper", 2, 3), ("compact", 3, 24)])
 def test_one_step_of_training_runs_and_reaches_every_weight(name, clips, frames):
     model = VideoClassifier(preset(name))
-    size = model.config.size_px
+    size, channels = model.config.size_px, model.config.channels
     descent = torch.optim.SGD(model.parameters(), lr=1.0e-3)
     before = {key: value.clone() for key, value in model.named_parameters()}
-    logit, _ = model(torch.randn(clips, frames, 3, size, size), torch.zeros(clips, dtype=torch.int64))
+    logit, _ = model(torch.randn(clips, frames, channels, size, size), torch.zeros(clips, dtype=torch.int64))
     loss = nn.functional.binary_cross_entropy_with_logits(logit, torch.arange(clips) % 2.0)
     loss.backward()
     descent.step()
@@ -125,12 +124,12 @@ def test_one_step_of_training_runs_and_reaches_every_weight(name, clips, frames)
 
 def test_padding_changes_nothing_and_gets_no_attention():
     model = VideoClassifier(preset("compact", **SMALL)).eval()
-    clip = torch.randn(1, 5, 3, 32, 32)
+    clip = torch.randn(1, 5, 6, 32, 32)
     with torch.no_grad():
         logit, attention = model(clip, torch.tensor([3]))
         for filler in (0.0, 1.0e3):
-            padded = torch.cat((clip, torch.full((1, 4, 3, 32, 32), filler)), dim=1)
-            both = torch.cat((padded, torch.randn(1, 9, 3, 32, 32)))
+            padded = torch.cat((clip, torch.full((1, 4, 6, 32, 32), filler)), dim=1)
+            both = torch.cat((padded, torch.randn(1, 9, 6, 32, 32)))
             logits, shares = model(both, torch.tensor([3, 8]), torch.tensor([5, 9]))
             assert logits[0].item() == pytest.approx(logit.item(), abs=1.0e-6)
             assert torch.allclose(shares[0, :5], attention[0], atol=1.0e-6)
@@ -157,7 +156,7 @@ def test_chunks_and_order_of_time_are_what_they_should_be():
     whole = VideoClassifier(preset("compact", **SMALL, chunk_frames=100)).eval()
     parts = VideoClassifier(preset("compact", **SMALL, chunk_frames=3)).eval()
     parts.load_state_dict(whole.state_dict())
-    clip, critical = torch.randn(2, 7, 3, 32, 32), torch.tensor([1, 6])
+    clip, critical = torch.randn(2, 7, 6, 32, 32), torch.tensor([1, 6])
     with torch.no_grad():
         assert torch.allclose(whole(clip, critical)[0], parts(clip, critical)[0], atol=1.0e-6)
         assert not torch.allclose(whole(clip, critical)[0], whole(clip.flip(1), 6 - critical)[0], atol=1.0e-6)
@@ -210,8 +209,9 @@ def test_configurations_go_through_json_and_errors_name_the_choices():
     for said, attempt in {
         "one of paper, compact": lambda: preset("huge"),
         "'resnet18', 'resnet34' or 'resnet50'": lambda: preset("paper", backbone="vgg"),
-        "'rgb' or 'change'": lambda: preset("paper", mode="depth"),
+        "'rgb', 'change' or 'motion'": lambda: preset("paper", mode="depth"),
         "channels 1 must be one of": lambda: preset("paper", channels=1),
+        "channels 3 must be one of": lambda: preset("compact", channels=3),
         "network.units": lambda: preset("compact", units=3),
         "network.size_px": lambda: NetworkConfig.from_json('{"mode": "rgb"}'),
         "network": lambda: NetworkConfig.from_json("{"),
@@ -226,7 +226,8 @@ def test_configurations_go_through_json_and_errors_name_the_choices():
 def test_nothing_but_the_classifier_imports_torch():
     modules = (
         "config.scene_file, sim_core.run, sim_core.camera.renderer, sim_core.vision.measure, msgs_adapters.camera_payloads, "
-        "recordings.bag_pictures, recordings.campaigns.driver, ros_nodes.cli, classifier.configuration, classifier.frames"
+        "recordings.bag_pictures, recordings.campaigns.driver, ros_nodes.cli, classifier.configuration, classifier.frames, "
+        "classifier.guidance"
     )
     probe = f"import sys, {modules}; print([m for m in ('torch', 'onnx', 'onnxruntime') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", probe], capture_output=True, text=True, check=True)
@@ -239,5 +240,5 @@ def test_the_same_seed_builds_the_same_network():
         torch.manual_seed(3)
         built.append(VideoClassifier(preset("compact", **SMALL)).eval())
     with torch.no_grad():
-        said = [model(torch.ones(1, 2, 3, 32, 32), torch.tensor([0]))[0].numpy() for model in built]
+        said = [model(torch.ones(1, 2, 6, 32, 32), torch.tensor([0]))[0].numpy() for model in built]
     assert np.array_equal(*said)

@@ -46,8 +46,11 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def whole(folder, tmp_path_factory):
-    """A training without a stop."""
-    return job(folder, tmp_path_factory.mktemp("whole") / "run")
+    """A training without a stop, guided by true displacement."""
+    found = job(folder, tmp_path_factory.mktemp("whole") / "run")
+    state = read_checkpoint(found.model.parent)
+    assert state is not None and "guess.weight" in state["model"]
+    return found
 
 
 def _run(*arguments: object) -> subprocess.CompletedProcess[str]:
@@ -151,7 +154,7 @@ def test_the_kept_model_gives_true_odds_and_keeps_its_verdicts(folder, whole):
     model, told = load_model(whole.model)
     state = read_checkpoint(whole.model.parent)
     assert state is not None and whole.best.number == whole.epochs[-1].number == EPOCHS
-    learnt = state["model"]["output.bias"]
+    learnt = state["model"]["model.output.bias"]
     assert model.output.bias.item() == pytest.approx(learnt.item() + np.log(told["success_weight"]), abs=1e-6)
     # The learnt logit 0 is the threshold.
     at = 1.0 / (1.0 + np.exp(-np.log(told["success_weight"]) / told["temperature"]))
@@ -281,7 +284,7 @@ def test_a_passed_test_weighs_as_many_times_as_there_are_more_fails():
     loss = Loss(examples, None)
     assert loss.success_weight == 3.0
     failed = torch.tensor([0.0 if e.success else 1.0 for e in examples])
-    batch = Batch(torch.zeros(0), torch.zeros(0), torch.zeros(0), failed, 0.0)
+    batch = Batch(torch.zeros(0), torch.zeros(0), torch.zeros(0), failed, None, 0.0)
     each = loss.each(torch.zeros(8), batch)
     # At even odds every loss is ln 2, times weights whose mean is 1: 8 / (6 + 3 * 2) for a fail.
     assert each.mean().item() == pytest.approx(np.log(2.0), rel=1e-6)

@@ -28,9 +28,10 @@ HEAVY_ON_LIGHT = {
 
 
 def fresh_domain() -> str:
-    """A domain that no other test of this run uses; Linux' ephemeral ports leave 0 to 101."""
+    """A domain that no other worker of this run uses, and this one long ago; Linux' ephemeral ports leave 0 to 101."""
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-    return str(5 + (worker * 24 + next(_numbers)) % 96)
+    share = max(1, 96 // int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")))
+    return str(5 + (worker * share + next(_numbers) % share) % 96)
 
 
 def environment() -> dict[str, str]:
