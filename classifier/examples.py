@@ -78,10 +78,11 @@ def read_examples(folder: Path) -> list[Example]:
 def split_by_scheme(
     examples: Sequence[Example], *, seed: int, test_share: float = 0.2, validation_share: float = 0.1
 ) -> Split:
-    """Parts examples so that no palletising scheme is in two parts.
+    """Parts examples so that no palletising scheme of the test part is in another part.
 
-    Of many orders of the schemes, the one is taken whose parts come closest to the shares and to the share of passed
-    tests in all.
+    Of many orders of the schemes, the one is taken whose cuts come closest to the shares and to the share of passed
+    tests in all. Validation tests are drawn from all the other schemes: a tenth of all tests would be
+    two schemes, and what is said of two schemes says little of others.
 
     Args:
         examples: what to part.
@@ -95,22 +96,32 @@ def split_by_scheme(
     _require_shares(test_share, validation_share)
     schemes = sorted({example.scheme for example in examples})
     if len(schemes) < 3:
-        raise RefusedInput("schemes", len(schemes), "must be at least 3, so that each part has its own")
+        raise RefusedInput(
+            "schemes", len(schemes), "must be at least 3, so that test and training have their own"
+        )
     place = {scheme: index for index, scheme in enumerate(schemes)}
     counts = np.zeros((len(schemes), 2))
     for example in examples:
         counts[place[example.scheme], int(example.success)] += 1.0
     rng = np.random.default_rng(seed)
-    best: tuple[float, NDArray[np.intp]] | None = None
+    best: tuple[float, NDArray[np.bool_]] | None = None
     for _ in range(_PERMUTATIONS):
         order = rng.permutation(len(schemes))
-        parts, cost = _cut(counts[order], (test_share, validation_share))
+        # Cut in three, as before validation tests were drawn one by one: a seed's test part stays what it was.
+        cut, cost = _cut(counts[order], (test_share, validation_share))
         if best is None or cost < best[0] - 1.0e-12:
-            of_scheme = np.empty(len(schemes), dtype=np.intp)
-            of_scheme[order] = parts
-            best = cost, of_scheme
+            is_test = np.zeros(len(schemes), dtype=bool)
+            is_test[order] = cut == 2
+            best = cost, is_test
     assert best is not None
-    return _split([int(best[1][place[example.scheme]]) for example in examples])
+    passed = np.array([example.success for example in examples], dtype=bool)
+    parts = np.array([2 if best[1][place[example.scheme]] else 0 for example in examples], dtype=np.intp)
+    left = np.flatnonzero(parts == 0)
+    share = min(validation_share * len(examples) / len(left), 0.5)
+    for indices in (left[passed[left]], left[~passed[left]]):
+        mixed = rng.permutation(indices)
+        parts[mixed[: round(share * len(mixed))]] = 1
+    return _split([int(part) for part in parts])
 
 
 def split_at_random(

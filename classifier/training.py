@@ -87,7 +87,7 @@ def train(
         out: folder of the training; gone on with if it holds the same one.
         network: what to train.
         training: how.
-        split: how tests are parted: no scheme in two parts, or at random.
+        split: how tests are parted: no scheme of the test part in another, or at random.
         weights: of ImageNet for the backbone, in torchvision's format.
         cache: folder of prepared clips; by default, ``clips`` in the campaign's folder.
         workers: processes that prepare clips before the training begins.

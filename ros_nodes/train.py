@@ -44,7 +44,9 @@ def train(
     ] = "compact",
     split: Annotated[
         Literal["scheme", "random"],
-        typer.Option(help="scheme: no palletising scheme is in two parts; random: as the paper does."),
+        typer.Option(
+            help="scheme: the test part has palletising schemes of its own; random: as the paper does."
+        ),
     ] = "scheme",
     seed: Annotated[
         int | None,

@@ -1,4 +1,4 @@
-"""Settled tests become examples, and no scheme stands in two parts of a split."""
+"""Settled tests become examples, and no scheme of the test part stands in another."""
 
 import json
 
@@ -54,12 +54,12 @@ def test_a_folder_without_a_settled_test_is_refused(tmp_path):
         read_examples(_folder(tmp_path, {0: "unresolved"}))
 
 
-def test_no_scheme_is_in_two_parts_and_shares_and_balance_come_close():
+def test_no_scheme_of_the_test_part_is_in_another_and_shares_and_balance_come_close():
     examples = _many()
     split = split_by_scheme(examples, seed=1)
     _covers_all(split, len(examples))
     of_part = [{examples[k].scheme for k in part} for part in _parts(split)]
-    assert not of_part[0] & of_part[1] and not of_part[0] & of_part[2] and not of_part[1] & of_part[2]
+    assert not of_part[0] & of_part[2] and not of_part[1] & of_part[2] and of_part[1] <= of_part[0]
     usual = np.mean([e.success for e in examples])
     for part, share in zip(_parts(split), (0.7, 0.1, 0.2), strict=True):
         # A scheme has 3 % of the tests on average: a part can be hit to a fraction of that.
