@@ -10,7 +10,7 @@ Backbone = Literal["resnet18", "resnet34", "resnet50"]
 Mode = Literal["rgb", "change", "motion"]
 Preset = Literal["paper", "compact"]
 
-_CHANNELS: dict[Mode, tuple[int, ...]] = {"rgb": (3,), "change": (1, 3), "motion": (6,)}
+_CHANNELS: dict[Mode, tuple[int, ...]] = {"rgb": (3,), "change": (1, 3), "motion": (7,)}
 
 EXPANSION: dict[Backbone, int] = {"resnet18": 1, "resnet34": 1, "resnet50": 4}
 """Channels that a residual block gives, in multiples of its width."""
@@ -22,10 +22,10 @@ class NetworkConfig(BaseModel):
     Attributes:
         mode: ``rgb``: the whole picture in colour; ``change``: a crop that rides on the sled, as its grey, the first
             picture's grey and what has changed between the two; ``motion``: the same load's grey in the first picture,
-            how far each part of it has moved since, and what that does not explain.
+            how far each part of it has moved since, what that does not explain, and what came in.
         size_px: edge of a frame, which is square [px].
         frames: how many of a clip are looked at; None: all of them.
-        channels: of a frame; 3, or 1 for the change alone; 6 for motion.
+        channels: of a frame; 3, or 1 for the change alone; 7 for motion.
         backbone: which residual network sees each frame.
         base_width: channels of its first stage; 64 is the usual one. The last has eight times as many (ResNet-50: 32).
         lstm_units: a direction.
@@ -122,7 +122,7 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "mode": "motion",
         "size_px": 64,
         "frames": 24,
-        "channels": 6,
+        "channels": 7,
         "backbone": "resnet18",
         "base_width": 16,
         "lstm_units": 64,

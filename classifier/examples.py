@@ -40,7 +40,7 @@ class Split:
 
     Attributes:
         train: what is learned from.
-        validation: what ends the training and sets threshold and temperature.
+        validation: what ends the training and sets the temperature.
         test: what is only ever judged.
     """
 

@@ -37,7 +37,7 @@ class PreparedClip:
 
     Attributes:
         frames: shape [time, size, size, 3] (red, green, blue), [time, size, size, 1] (grey crop) or
-            [time, size, size, 6] (see ``classifier.load_motion``).
+            [time, size, size, 7] (see ``classifier.load_motion``).
         numbers: of the pictures that they were made of, ascending from 0, shape [time].
         critical: which of the frames changed most.
         change: of every picture of the clip against the first one, shape [picture_count]; where motion is looked at,
@@ -130,7 +130,7 @@ class ClipTaker:
         peak = int(change.argmax())
         numbers = chosen_numbers(count, self._config.frames, peak)
         frames = [
-            packed_motion(load.grey, moved[number], load.followed[number].unlike, outline, size)
+            packed_motion(load.grey, moved[number], load.followed[number], outline, size)
             for number in numbers
         ]
         critical = int(np.searchsorted(numbers, peak))
@@ -195,7 +195,7 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
 
     ``rgb``: red, green and blue as the public weights expect them. ``change``: the change alone (one channel), or
     grey, the first frame's grey and the change (three). ``motion``: grey, displacement along and down in heights of the
-    load and in metres, what it does not explain.
+    load and in metres, what it does not explain, what is new.
 
     Args:
         frames: of a ``PreparedClip``, or of a part of it that begins with its first frame.
@@ -219,7 +219,7 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
         planes[:, 0] = (planes[:, 0] / np.float32(255.0) - np.float32(GREY_MEAN)) / np.float32(GREY_DEVIATION)
         roots = np.array(MOTION_SCALE, dtype=np.float32) / np.float32(127.0)
         planes[:, 1:5] = (planes[:, 1:5] - np.float32(128.0)) * roots[:, None, None]
-        planes[:, 5] /= np.float32(CHANGE_LEVELS)
+        planes[:, 5:] /= np.float32(CHANGE_LEVELS)
         return np.ascontiguousarray(planes)
     change = (planes - planes[:1]) / np.float32(CHANGE_LEVELS)
     if config.channels == 1:

@@ -5,6 +5,7 @@ import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import nullcontext
+from copy import deepcopy
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,7 +21,7 @@ from classifier.clips import ClipCache
 from classifier.configuration import NetworkConfig
 from classifier.examples import Example
 from classifier.guidance import GUIDES, GuideCache
-from classifier.metrics import fitted_temperature, probability
+from classifier.metrics import fitted_temperature
 from classifier.network import VideoClassifier
 from classifier.ranks import Ranks
 from classifier.resnet import load_imagenet_weights
@@ -97,6 +98,7 @@ class Learner:
         self._optimiser = torch.optim.AdamW(
             self._guided.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
         )
+        self._averaged = _averaged(self._model) if training.average > 0.0 else None
         self._loss = Loss(examples, training.success_weight)
         self._threads = max(1, min(_MOST_THREADS, len(os.sched_getaffinity(0)) // (2 * ranks.count)))
         self._validation_logits: Array = np.zeros(0)
@@ -113,6 +115,7 @@ class Learner:
         """All that the next epoch depends on; its random numbers follow from seed and epoch."""
         return {
             "model": self._guided.state_dict(),
+            "averaged": None if self._averaged is None else self._averaged.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "epochs": [asdict(epoch) for epoch in self.epochs],
         }
@@ -128,6 +131,8 @@ class Learner:
         """Goes back to a state; None is the beginning."""
         if state is not None:
             self._guided.load_state_dict(state["model"])
+            if self._averaged is not None:
+                self._averaged.load_state_dict(state["averaged"])
             self._optimiser.load_state_dict(state["optimiser"])
             self.epochs = [Epoch(**epoch) for epoch in state["epochs"]]
 
@@ -153,7 +158,8 @@ class Learner:
         watch = Watch()
         train_loss, frames = self._trained(clips, guides, number, watch, on_step)
         trained_s = time.perf_counter() - began
-        self._ranks.share_buffers(self._model)
+        for module in (self._model, self._kept):
+            self._ranks.share_buffers(module)
         validation_loss, accuracy = self._validated(clips, validation, watch)
         if not np.isfinite(train_loss + validation_loss):
             limit = "makes the loss grow beyond all bounds; name a lower one"
@@ -177,14 +183,15 @@ class Learner:
         return found
 
     def keep_best(self, folder: Path, told: dict[str, Any]) -> None:
-        """Writes the network as it is, with temperature and threshold from the validation tests.
+        """Writes the network as it is, with the temperature from the validation tests.
 
         Training weighs passes w times as much, which makes every odds of failure w times too small. So ln w is added to
-        the network's last bias, and the threshold moves with it: probabilities come out right, verdicts as trained.
+        the network's last bias: probabilities come out right, and an even chance parts fail from pass, which is right
+        most often.
         """
         weighing = float(np.log(self._loss.success_weight))
         model = VideoClassifier(self._model.config)
-        model.load_state_dict(self._model.state_dict())
+        model.load_state_dict(self._kept.state_dict())
         with torch.no_grad():
             model.output.bias.add_(weighing)
         temperature = fitted_temperature(
@@ -197,7 +204,7 @@ class Learner:
             "validation_accuracy": epoch.validation_accuracy,
             "success_weight": self._loss.success_weight,
             "temperature": temperature,
-            "threshold": float(probability(np.array(weighing / temperature))),
+            "threshold": 0.5,
         }
         save_model(folder, model.cpu(), {**told, **best})
 
@@ -246,6 +253,7 @@ class Learner:
                     whole.backward()  # type: ignore[no-untyped-call]
                 loss += float(part.detach())
             self._optimiser.step()
+            self._average(number * steps + step)
             total += loss * inside
             if on_step is not None:
                 on_step(number + 1, (step + 1) / steps, loss)
@@ -259,25 +267,50 @@ class Learner:
         """Loss and share of right verdicts on examples, shared out to all processes."""
         ranks = self._ranks
         source = ClipBatches(clips, batch=self._training.batch, threads=self._threads)
-        self._model.eval()
+        kept = self._kept.eval()
         mine: list[tuple[float, float, float]] = []
         with torch.no_grad():
             for batch in watch.waiting(source.batches(examples[ranks.rank :: ranks.count])):
-                logits, _ = self._said(self._guided, batch)
+                logits, _ = self._said(kept, batch)
                 losses = self._loss.each(logits, batch)
                 mine += zip(logits.tolist(), losses.tolist(), batch.failed.tolist(), strict=True)
         rows = np.array([row for part in ranks.gathered(mine) for row in part])
         self._validation_logits, self._validation_success = rows[:, 0], 1.0 - rows[:, 2]
         return float(rows[:, 1].mean()), float(((rows[:, 0] > 0.0) == (rows[:, 2] > 0.5)).mean())
 
+    @property
+    def _kept(self) -> VideoClassifier:
+        """The network that is validated and kept."""
+        return self._model if self._averaged is None else self._averaged
+
+    def _average(self, step: int) -> None:
+        """Takes the weights after a step, counted from 0, into their mean."""
+        if self._averaged is None:
+            return
+        # The first steps are soon forgotten.
+        share = min(self._training.average, (1.0 + step) / (10.0 + step))
+        with torch.no_grad():
+            new = self._model.state_dict()
+            for name, mean in self._averaged.state_dict().items():
+                if mean.is_floating_point():
+                    mean.lerp_(new[name], 1.0 - share)
+                else:
+                    mean.copy_(new[name])
+
     def _said(self, model: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
-        """What a ``Guided`` says, on the processor's own precision or, on a GPU, half of it."""
+        """What a network or a ``Guided`` says, on the processor's own precision or, on a GPU, half of it."""
         device = self._ranks.device
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
             logits, guess = model(
                 batch.frames.to(device), batch.critical.to(device), batch.lengths.to(device)
             )
         return logits.float(), None if guess is None else guess.float()
+
+
+def _averaged(model: VideoClassifier) -> VideoClassifier:
+    """A copy that no gradient reaches."""
+    copy = deepcopy(model)
+    return copy.requires_grad_(False)
 
 
 class Guided(nn.Module):

@@ -19,9 +19,9 @@ WINDOW_PX = 224
 """Edge of the square in which the load is followed, and that rides on the sled."""
 GRID_PX = 112
 """Edge of the grid on which displacement is kept; flow is smoother than print."""
-CHANNELS = 6
-"""Of a frame: the first picture's grey, displacement along and down in heights of the load, the same in metres, and
-what the flow does not explain."""
+CHANNELS = 7
+"""Of a frame: the first picture's grey, displacement along and down in heights of the load, the same in metres,
+what the flow does not explain, and what was not there in the first picture."""
 FULL = 1.0
 """Displacement, in heights or in metres, that counts as full, and as no more than that."""
 SPACING_M = (0.22, 0.255, 0.29)
@@ -52,11 +52,14 @@ class Followed:
     Attributes:
         flow: from the first picture's window to this one's [px of the window], shape [GRID_PX, GRID_PX, 2].
         unlike: grey levels by which it differs where the flow leads, shape [GRID_PX, GRID_PX].
+        fresh: grey levels by which it differs from the first picture in the same place of the picture, not of the sled:
+            what is behind the bench stays the same, and packages that fall out beside the load do not.
         place: the affine map from the window to this picture [px], shape [2, 3].
     """
 
     flow: Field
     unlike: Grey
+    fresh: Grey
     place: Array
 
 
@@ -130,6 +133,7 @@ class LoadFollower:
         self._place = self._window
         self._first = self._seen(grey, self._window)
         self.grey: Grey = _on_grid(self._first)
+        self._whole = grey
         self.followed: list[Followed] = []
 
     def follow(self, grey: Grey, targets: Array | None) -> None:
@@ -152,7 +156,8 @@ class LoadFollower:
             borderMode=cv2.BORDER_REPLICATE,
         )
         unlike = np.asarray(cv2.absdiff(led, self._first), dtype=np.uint8)
-        self.followed.append(Followed(_on_grid(self._flow), _on_grid(unlike), self._place))
+        fresh = self._seen(np.asarray(cv2.absdiff(grey, self._whole), dtype=np.uint8), self._place)
+        self.followed.append(Followed(_on_grid(self._flow), _on_grid(unlike), _on_grid(fresh), self._place))
 
     def displacement(self, number: int, motion: SledMotion | None) -> Field:
         """Displacement on the sled, along the picture and down [m], shape [GRID_PX, GRID_PX, 2].
@@ -238,7 +243,7 @@ def mean_displacement(displacement: Field, outline: Outline) -> float:
 
 
 def packed_motion(
-    grey: Grey, displacement: Field, unlike: Grey, outline: Outline, size_px: int
+    grey: Grey, displacement: Field, followed: Followed, outline: Outline, size_px: int
 ) -> NDArray[np.uint8]:
     """A frame of bytes, shape [size_px, size_px, CHANNELS], in which each load's outline has the same place.
 
@@ -247,12 +252,12 @@ def packed_motion(
     Args:
         grey: of the first picture, shape [GRID_PX, GRID_PX].
         displacement: [m], shape [GRID_PX, GRID_PX, 2].
-        unlike: grey levels, shape [GRID_PX, GRID_PX].
+        followed: the picture.
         outline: of the load.
         size_px: edge of the frame.
     """
     shown = outline.shown(size_px)
-    seen, moved, rest = (
+    seen, moved, unlike, fresh = (
         cv2.warpAffine(
             plane,
             shown,
@@ -260,10 +265,10 @@ def packed_motion(
             flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
             borderMode=cv2.BORDER_REPLICATE,
         )
-        for plane in (grey, displacement, unlike)
+        for plane in (grey, displacement, followed.unlike, followed.fresh)
     )
     both = np.dstack((moved / np.float32(outline.height_m), moved))
-    return np.dstack((seen, packed_displacement(both), rest)).astype(np.uint8)
+    return np.dstack((seen, packed_displacement(both), unlike, fresh)).astype(np.uint8)
 
 
 def packed_displacement(displacement: Field) -> NDArray[np.uint8]:

@@ -113,7 +113,7 @@ class Robustness:
         return asdict(self)
 
 
-def sampled(examples: Sequence[Example], count: int, *, seed: int) -> list[int]:
+def sampled(examples: Sequence[object], count: int, *, seed: int) -> list[int]:
     """Places of at most so many examples, drawn without regard to anything, ascending."""
     order = np.random.default_rng([seed, 7]).permutation(len(examples))
     return sorted(order[:count].tolist())

@@ -124,12 +124,12 @@ def test_one_step_of_training_runs_and_reaches_every_weight(name, clips, frames)
 
 def test_padding_changes_nothing_and_gets_no_attention():
     model = VideoClassifier(preset("compact", **SMALL)).eval()
-    clip = torch.randn(1, 5, 6, 32, 32)
+    clip = torch.randn(1, 5, 7, 32, 32)
     with torch.no_grad():
         logit, attention = model(clip, torch.tensor([3]))
         for filler in (0.0, 1.0e3):
-            padded = torch.cat((clip, torch.full((1, 4, 6, 32, 32), filler)), dim=1)
-            both = torch.cat((padded, torch.randn(1, 9, 6, 32, 32)))
+            padded = torch.cat((clip, torch.full((1, 4, 7, 32, 32), filler)), dim=1)
+            both = torch.cat((padded, torch.randn(1, 9, 7, 32, 32)))
             logits, shares = model(both, torch.tensor([3, 8]), torch.tensor([5, 9]))
             assert logits[0].item() == pytest.approx(logit.item(), abs=1.0e-6)
             assert torch.allclose(shares[0, :5], attention[0], atol=1.0e-6)

@@ -64,11 +64,28 @@ def _same_state(one: Path, other: Path) -> None:
     assert ours["model"].keys() == theirs["model"].keys()
     for name, value in ours["model"].items():
         assert torch.equal(value, theirs["model"][name]), name
+    for name, value in ours["averaged"].items():
+        assert torch.equal(value, theirs["averaged"][name]), name
     for number, row in ours["optimiser"]["state"].items():
         for name, value in row.items():
             assert torch.equal(value, theirs["optimiser"]["state"][number][name]), (number, name)
     for key in ("train_loss", "validation_loss", "validation_accuracy", "learning_rate", "is_best"):
         assert [row[key] for row in ours["epochs"]] == [row[key] for row in theirs["epochs"]]
+
+
+@pytest.mark.parametrize("average", [0.0, 0.5])
+def test_the_mean_of_the_weights_is_what_is_kept(folder, tmp_path, average):
+    found = job(folder, tmp_path / "run", epochs=1, average=average)
+    state = read_checkpoint(tmp_path / "run")
+    assert state is not None
+    last = {name.removeprefix("model."): value for name, value in state["model"].items()}
+    mean = last if average == 0.0 else state["averaged"]
+    kept = load_model(found.model)[0].state_dict()
+    for name, value in kept.items():
+        # The last bias tells how much more passes weigh.
+        assert name == "output.bias" or torch.equal(value, mean[name]), name
+    if average > 0.0:
+        assert not torch.equal(mean["fuse.weight"], last["fuse.weight"])
 
 
 @pytest.mark.parametrize(("epoch", "share"), [(2, 0.5), (2, 2.0)], ids=["within", "between"])
@@ -149,16 +166,14 @@ def test_it_learns_what_slides_and_what_stands(folder, tmp_path):
     assert (called == (batch.failed > 0.5)).all()
 
 
-def test_the_kept_model_gives_true_odds_and_keeps_its_verdicts(folder, whole):
+def test_the_kept_model_gives_true_odds(folder, whole):
     """A network that weighs passes w times as much has w times too small odds of failure: ln w is added back."""
     model, told = load_model(whole.model)
     state = read_checkpoint(whole.model.parent)
     assert state is not None and whole.best.number == whole.epochs[-1].number == EPOCHS
-    learnt = state["model"]["model.output.bias"]
+    learnt = state["averaged"]["output.bias"]
     assert model.output.bias.item() == pytest.approx(learnt.item() + np.log(told["success_weight"]), abs=1e-6)
-    # The learnt logit 0 is the threshold.
-    at = 1.0 / (1.0 + np.exp(-np.log(told["success_weight"]) / told["temperature"]))
-    assert told["threshold"] == pytest.approx(at, abs=1e-12)
+    assert told["threshold"] == 0.5
 
 
 def test_a_run_says_which_bags_code_and_settings_made_it(folder, whole):
