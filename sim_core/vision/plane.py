@@ -6,6 +6,7 @@ before the start: the camera's true place on the bench is neither known nor need
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -175,17 +176,28 @@ class SightFinder:
         return self.sight
 
     def _first(self, pixels: Array, seen: NDArray[np.bool_]) -> Sight:
-        """Pose of a flat board: of the two that fit alike, the one of a level camera."""
+        """Pose of a flat board: of the two that fit alike, the one of a level camera.
+
+        Raises:
+            RefusedInput: no pose fits.
+        """
         board = np.column_stack(
             (self.targets @ self.side.right, -self.targets[:, 2], np.zeros(len(self.targets)))
         )
         middle = board[seen].mean(axis=0)
-        _, turns, shifts, errors = cv2.solvePnPGeneric(
+        _, turns, shifts, _ = cv2.solvePnPGeneric(
             board[seen] - middle, pixels[seen], self.matrix, self.distortion, flags=cv2.SOLVEPNP_IPPE
         )
+        if not turns:
+            raise RefusedInput("picture", int(seen.sum()), "shows targets that are on no board")
+        # Counted here: OpenCV may tell more errors than poses.
+        errors = [
+            self._off_px(board[seen] - middle, pixels[seen], *pose)
+            for pose in zip(turns, shifts, strict=True)
+        ]
         frame = np.array([self.side.right, [0.0, 0.0, -1.0], -self.side.normal])
         found = []
-        for turn, shift, error in zip(turns, shifts, np.ravel(errors), strict=True):
+        for turn, shift, error in zip(turns, shifts, errors, strict=True):
             turn, shift = cv2.solvePnPRefineLM(
                 board[seen] - middle, pixels[seen], self.matrix, self.distortion, turn, shift
             )
@@ -197,9 +209,14 @@ class SightFinder:
                 *self._size, self.matrix, self.distortion, rotation @ frame, shift.ravel() - rotation @ offset
             )
             level = abs(float(view.rotation[1, 2] + 1.0))
-            found.append((error / max(min(np.ravel(errors)), 0.05) + 20.0 * level, view))
+            found.append((error / max(min(errors), 0.05) + 20.0 * level, view))
         best = min(found, key=lambda item: item[0])[1]
         return Sight(best, self._rails, np.zeros((8, 8)), 0.0)
+
+    def _off_px(self, board: Array, pixels: Array, turn: Any, shift: Any) -> float:
+        """Root mean square of how far a pose's targets are from where they are seen, each coordinate by itself [px]."""
+        seen = cv2.projectPoints(board, turn, shift, self.matrix, self.distortion)[0].reshape(-1, 2)
+        return float(np.sqrt(np.mean((seen - pixels) ** 2)))
 
     def _refine(self) -> None:
         """Gauss-Newton over pose, slopes of the rails and travels; these are eliminated picture by picture."""

@@ -91,6 +91,28 @@ def test_the_cameras_pose_and_the_travel_come_from_the_targets_alone(camera):
     assert np.abs(sight.view.rotation - view.rotation).max() < 1e-5
 
 
+@pytest.mark.parametrize("kept", [1, 0])
+def test_opencv_may_tell_more_errors_than_poses(kept, monkeypatch):
+    # It leaves out a pose that comes to no number, but not its error.
+    scene = stack_scene()
+    view = view_of(scene)
+    solve = cv2.solvePnPGeneric
+
+    def fewer(*arguments, **options):
+        found, turns, shifts, errors = solve(*arguments, **options)
+        # In order of their errors: the first is the true one.
+        return found, turns[:kept], shifts[:kept], errors
+
+    monkeypatch.setattr(cv2, "solvePnPGeneric", fewer)
+    finder = SightFinder(scene, view.matrix, view.distortion, view.width, view.height)
+    pixels = view.project(finder.targets)
+    if kept:
+        assert np.abs(finder.begin(pixels).view.position - view.position).max() < 1e-4
+    else:
+        with pytest.raises(RefusedInput, match="on no board"):
+            finder.begin(pixels)
+
+
 def test_the_poses_uncertainty_is_of_the_size_of_its_error():
     # Normalised error of the camera's place over many noisy boards: its mean square is 1, with 3 x 40 samples about
     # 1 ± 0.13; the noise is taken at its floor, so that it may be somewhat below.
