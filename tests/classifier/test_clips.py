@@ -60,7 +60,7 @@ def test_a_damaged_clip_is_made_anew_and_other_frames_have_a_place_of_their_own(
         stored.write_bytes(damaged)
         assert _same(cache.clip(example), made)
     wider = ClipCache(tmp_path, preset("compact", size_px=48, frames=4))
-    assert not wider.has(example) and wider.clip(example).frames.shape == (4, 48, 48, 6)
+    assert not wider.has(example) and wider.clip(example).frames.shape == (4, 48, 48, 7)
     # Width and LSTM say nothing of frames.
     assert ClipCache(tmp_path, preset("compact", size_px=32, frames=4, base_width=4, lstm_units=3)).has(
         example

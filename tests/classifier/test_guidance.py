@@ -52,7 +52,7 @@ def _shares(guide):
 
 def _batch(guide: np.ndarray | None) -> Batch:
     count, time = guide.shape[:2] if guide is not None else (2, 3)
-    nothing = torch.zeros(count, time, 6, 32, 32)
+    nothing = torch.zeros(count, time, 7, 32, 32)
     lengths = torch.full((count,), time)
     told = torch.from_numpy(guide) if guide is not None else None
     return Batch(nothing, torch.zeros(count, dtype=torch.int64), lengths, torch.zeros(count), told, 0.0)
@@ -170,7 +170,7 @@ def test_the_loss_is_hubers_mean_of_each_clip_and_ignores_what_fills_it_up():
 def test_the_guess_reaches_the_backbone_and_nothing_behind_it():
     torch.manual_seed(0)
     guided = Guided(VideoClassifier(network()), guided=True).train()
-    frames, lengths = torch.randn(2, 3, 6, 32, 32), torch.full((2,), 3)
+    frames, lengths = torch.randn(2, 3, 7, 32, 32), torch.full((2,), 3)
     guide = np.ones((2, 3, GUIDES), np.float32)
     _, guess = guided(frames, torch.zeros(2, dtype=torch.int64), lengths)
     guidance_loss(guess, _batch(guide)).backward()
@@ -191,7 +191,7 @@ def test_the_saved_model_has_nothing_of_the_guess(trained):
     assert kept.keys() == VideoClassifier(network()).state_dict().keys() == model.state_dict().keys()
     for name, value in model.state_dict().items():
         # The last bias has the weighing of passes in it.
-        assert name == "output.bias" or torch.equal(value, state["model"][f"model.{name}"])
+        assert name == "output.bias" or torch.equal(value, state["averaged"][name])
 
 
 def test_guidance_changes_what_is_learnt_but_not_what_is_shown(folder, trained, tmp_path):

@@ -156,7 +156,7 @@ def test_chunks_and_order_of_time_are_what_they_should_be():
     whole = VideoClassifier(preset("compact", **SMALL, chunk_frames=100)).eval()
     parts = VideoClassifier(preset("compact", **SMALL, chunk_frames=3)).eval()
     parts.load_state_dict(whole.state_dict())
-    clip, critical = torch.randn(2, 7, 6, 32, 32), torch.tensor([1, 6])
+    clip, critical = torch.randn(2, 7, 7, 32, 32), torch.tensor([1, 6])
     with torch.no_grad():
         assert torch.allclose(whole(clip, critical)[0], parts(clip, critical)[0], atol=1.0e-6)
         assert not torch.allclose(whole(clip, critical)[0], whole(clip.flip(1), 6 - critical)[0], atol=1.0e-6)
@@ -240,5 +240,5 @@ def test_the_same_seed_builds_the_same_network():
         torch.manual_seed(3)
         built.append(VideoClassifier(preset("compact", **SMALL)).eval())
     with torch.no_grad():
-        said = [model(torch.ones(1, 2, 6, 32, 32), torch.tensor([0]))[0].numpy() for model in built]
+        said = [model(torch.ones(1, 2, 7, 32, 32), torch.tensor([0]))[0].numpy() for model in built]
     assert np.array_equal(*said)
