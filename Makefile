@@ -10,7 +10,7 @@ help:
 	@echo "make test   set up the tools and run every test"
 	@echo "make lint   ruff, mypy and the import contract"
 	@echo "make bench  error against run time, stability, engine agreement, pictures, campaigns, cost of the parts, into runs/ (two hours)"
-	@echo "make model  the campaign paper, a network trained on it, and what that is worth, into classifier/models/compact (five hours)"
+	@echo "make model  the campaign paper, a network trained on it, and what that is worth, into classifier/models/compact (two and a half hours)"
 	@echo "make clean  remove .venv and caches; runs/ stays"
 
 setup: $(VENV)/.main
@@ -54,7 +54,7 @@ model: setup-dev
 	$(BIN)/pallet-twin campaign paper --out runs/paper || test $$? -eq 2
 	$(BIN)/pallet-twin train runs/paper --out runs/compact
 	$(BIN)/pallet-twin train runs/paper --split random --out runs/compact-random
-	$(BIN)/pallet-twin evaluate runs/compact runs/paper --random-split runs/compact-random --out runs/compact-evaluation
+	$(BIN)/pallet-twin evaluate runs/compact runs/paper --random-split runs/compact-random --redrawn 80 --out runs/compact-evaluation
 	mkdir -p classifier/models/compact
 	cp runs/compact/model/* runs/compact-evaluation/metrics.json runs/compact-evaluation/model_card.md classifier/models/compact/
 

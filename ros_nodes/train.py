@@ -80,8 +80,9 @@ def train(
 ) -> None:
     """Train a network that tells pass from fail by the video alone, on the bags of a campaign.
 
-    A fifth of the tests is kept for `pallet-twin evaluate`, a tenth says when to stop: after ten epochs without a lower
-    loss. DIR/model is the best network so far, DIR/curves.png shows the way there, DIR/run.json says what made it.
+    A fifth of the tests is kept for `pallet-twin evaluate`, a tenth says which epoch's network is kept and, for paper,
+    when to stop: after ten epochs without a lower loss. DIR/model is the best network so far, DIR/curves.png shows the
+    way there, DIR/run.json says what made it.
 
     End it at any moment: the same command goes on after the last whole epoch, to the same weights. Several GPUs or
     processes: `torchrun --nproc-per-node 4 --no-python pallet-twin train FOLDER`; --set training.batch is for each.
