@@ -54,7 +54,7 @@ model: setup-dev
 	$(BIN)/pallet-twin campaign paper --out runs/paper || test $$? -eq 2
 	$(BIN)/pallet-twin train runs/paper --out runs/compact
 	$(BIN)/pallet-twin train runs/paper --split random --out runs/compact-random
-	$(BIN)/pallet-twin evaluate runs/compact runs/paper --random-split runs/compact-random --redrawn 80 --out runs/compact-evaluation
+	$(BIN)/pallet-twin evaluate runs/compact runs/paper --random-split runs/compact-random --redrawn 80 --baselines all --out runs/compact-evaluation
 	mkdir -p classifier/models/compact
 	cp runs/compact/model/* runs/compact-evaluation/metrics.json runs/compact-evaluation/model_card.md classifier/models/compact/
 
