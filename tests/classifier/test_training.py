@@ -135,13 +135,20 @@ def test_a_kill_after_the_last_checkpoint_leaves_only_words_to_be_written(folder
 
 def test_two_processes_hold_the_same_weights_and_learn(folder, tmp_path):
     # Steps of two batches and of one: gradients are added up before they are shared.
-    changes = {"epochs": 7, "batch": 2, "learning_rate": 1.0e-2, "augmentation": 0.0, "warmup_epochs": 0.0}
+    changes = {
+        "epochs": 7,
+        "batch": 2,
+        "learning_rate": 1.0e-2,
+        "augmentation": 0.0,
+        "weight_decay": 1.0e-5,
+        "warmup_epochs": 0.0,
+    }
     launch = ("-m", "torch.distributed.run", "--standalone", "--nproc-per-node", 2)
     ended = _run(*launch, "-m", "tests.classifier.training_job", folder, tmp_path, json.dumps(changes))
     assert ended.returncode == 0, ended.stderr[-2000:]
     assert (tmp_path / "digest-0").read_text() == (tmp_path / "digest-1").read_text()
     rows = read_run(tmp_path)["epochs"]
-    assert len(rows) == 7 and rows[-1]["train_loss"] < 0.99 * rows[0]["train_loss"]
+    assert len(rows) == 7 and rows[-1]["train_loss"] < 0.95 * rows[0]["train_loss"]
     assert read_run(tmp_path)["processes"] == 2
     with pytest.raises(RefusedInput, match="by another number of processes"):
         job(folder, tmp_path, **changes)
