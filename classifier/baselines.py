@@ -1,7 +1,7 @@
-"""Plain judges that a sceptic would ask for, on the same tests: majority, logistic regressions, a network without time.
+"""Plain judges that a sceptic would ask for, on the same tests: majority, regressions, a network without time.
 
 Each learns from the training part, chooses what it has to choose on the validation part, and says a logit of success
-for every test of the test part.
+for every test of the test part. Perfect sight is beside them as a bound.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +19,7 @@ from classifier.examples import Example, Split
 from classifier.frames import PreparedClip
 from classifier.logistic import chosen_logistic, prior_logit
 from classifier.metrics import Truth
+from classifier.perfect_sight import sighted_features
 from classifier.robustness import sampled
 from classifier.rows import Rows
 from classifier.training_config import TrainingConfig
@@ -90,6 +91,7 @@ def judged_baselines(
     found = [_majority(success, split)]
     changed = _by_change(examples, success, split, clips)
     found += [changed, _by_displacement(examples, success, split, changed, clips_at, workers, on_progress)]
+    found.append(_by_perfect_sight(examples, success, split, clips_at, workers, on_progress))
     if which == "all":
         found.append(_without_time(examples, split, config, told, clips, out, on_progress))
     return found
@@ -162,6 +164,36 @@ def _by_displacement(
         f" learned from {len(learned)} tests",
         np.where(is_measured, logits, fallback.logits),
         remark,
+    )
+
+
+def _by_perfect_sight(
+    examples: Sequence[Example],
+    success: Truth,
+    split: Split,
+    clips_at: Path,
+    workers: int,
+    on_progress: OnProgress | None,
+) -> Baseline:
+    """No judge of pictures: the truth about what the camera faces, as a bound on those that only measure."""
+    used = [index for part in (split.train, split.validation, split.test) for index in part]
+    count = 0
+
+    def tell() -> None:
+        nonlocal count
+        count += 1
+        if on_progress is not None:
+            on_progress(count, len(used), "true movement of what is faced")
+
+    features = np.full((len(examples), 2), np.nan)
+    rows = Rows(clips_at / "perfect_sight.jsonl")
+    features[used] = sighted_features([examples[index] for index in used], rows, workers=workers, on_row=tell)
+    logits, _ = _regressed(features, success, split)
+    return Baseline(
+        "perfect sight",
+        "not from pictures: logistic, on the true movement across the line of sight of the packages that face the"
+        " camera; a bound for whoever measures without error and does not guess what is behind",
+        logits,
     )
 
 
