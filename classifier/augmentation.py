@@ -1,10 +1,10 @@
-"""Changes to a clip that leave its verdict as it is: the same change to all of its frames."""
+"""Changes to a clip of which is known what they do to its verdict: the same change to all of its frames."""
 
 import cv2
 import numpy as np
 
 from classifier.frames import Pixels
-from classifier.load_motion import CHANNELS, packed_displacement, unpacked_displacement
+from classifier.load_motion import ALONG, CHANNELS, DISPLACED, packed_displacement, unpacked_displacement
 from classifier.training_config import TrainingConfig
 
 
@@ -38,6 +38,28 @@ def augmented(frames: Pixels, rng: np.random.Generator, training: TrainingConfig
     return np.concatenate((_recoloured(frames[..., :1], *colour), frames[..., 1:]), axis=3)
 
 
+def drawn_stretch(rng: np.random.Generator, training: TrainingConfig) -> float:
+    """By which factor a clip's displacement is to be multiplied: 1 where it is not; drawn as often whatever happens."""
+    wanted, exponent = rng.random() < training.augmentation, rng.uniform(-training.stretch, training.stretch)
+    return float(np.exp(exponent)) if wanted and training.stretch else 1.0
+
+
+def stretched(frames: Pixels, factor: float) -> Pixels:
+    """A clip of displacements in which everything has moved that many times as far; the sled's travel stays.
+
+    Args:
+        frames: as they are stored, shape [time, size, size, CHANNELS]; not changed.
+        factor: of all displacements.
+    """
+    if factor == 1.0:
+        return frames
+    moved = frames.copy()
+    moved[..., DISPLACED] = packed_displacement(
+        unpacked_displacement(frames[..., DISPLACED]) * np.float32(factor)
+    )
+    return moved
+
+
 def _moved(frames: Pixels, scale: float, angle_deg: float, *, mirrored: bool) -> Pixels:
     """Frames turned and sized about their middle."""
     time, height, width, depth = frames.shape
@@ -54,8 +76,12 @@ def _moved(frames: Pixels, scale: float, angle_deg: float, *, mirrored: bool) ->
         moved[number] = seen.reshape(height, width, depth)
     if depth == CHANNELS:
         turned = (matrix[:, :2].T / scale).astype(np.float32)
-        for pair in (slice(1, 3), slice(3, 5)):
+        for first in range(DISPLACED.start, DISPLACED.stop, 2):
+            pair = slice(first, first + 2)
             moved[..., pair] = packed_displacement(unpacked_displacement(moved[..., pair]) @ turned)
+        if mirrored:
+            # The byte of no length is 128, and 0 is none of a length.
+            moved[..., ALONG] = 255 - moved[..., ALONG] + 1
     return moved
 
 

@@ -11,11 +11,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from classifier.augmentation import augmented
+from classifier.augmentation import augmented, drawn_stretch, stretched
 from classifier.clips import ClipCache
 from classifier.examples import Example
 from classifier.frames import network_input
-from classifier.guidance import GUIDES, Guide, GuideCache
+from classifier.guidance import GUIDES, Guide, GuideCache, stretched_guide
+from classifier.margins import MARGINS, margins_of
 from classifier.training_config import TrainingConfig
 
 _AHEAD = 1
@@ -31,6 +32,7 @@ class Batch:
         critical: frame that changed most, of each, shape [batch].
         lengths: frames of each, shape [batch].
         failed: 1 for a failed test, 0 for a passed one, shape [batch].
+        margins: how far each was from its limits, shape [batch, MARGINS]; NaN where that is not known.
         guide: what each frame is guided by, shape [batch, time, GUIDES]; NaN behind a clip's length; None without.
         loading_s: processor time that it took to prepare [s].
     """
@@ -39,6 +41,7 @@ class Batch:
     critical: Tensor
     lengths: Tensor
     failed: Tensor
+    margins: Tensor
     guide: Tensor | None
     loading_s: float
 
@@ -100,21 +103,31 @@ class ClipBatches:
         shape = (len(clips), max(lengths), config.channels, config.size_px, config.size_px)
         frames: NDArray[np.float32] = np.empty(shape, dtype=np.float32)
         guide: Guide = np.full((*shape[:2], GUIDES), np.nan, dtype=np.float32)
+        failed: NDArray[np.float32] = np.empty(len(clips), dtype=np.float32)
+        margins: NDArray[np.float32] = np.empty((len(clips), MARGINS), dtype=np.float32)
         for place, (example, clip) in enumerate(zip(examples, clips, strict=True)):
-            pixels = clip.frames
+            pixels, factor = clip.frames, 1.0
             if self._training is not None and self._training.augmentation > 0.0:
                 # By epoch and number, so that it hangs neither on the order nor on who prepares it.
                 rng = np.random.default_rng([self._training.seed, epoch, example.number])
                 pixels = augmented(pixels, rng, self._training)
+                if config.mode == "motion":
+                    factor = drawn_stretch(rng, self._training)
+                    pixels = stretched(pixels, factor)
             frames[place, : lengths[place]] = network_input(pixels, config)
+            known = margins_of(example.label).stretched(factor)
+            failed[place], margins[place] = float(known.failed), known.figures()
             frames[place, lengths[place] :] = frames[place, lengths[place] - 1]
             if self._guides is not None:
-                guide[place, : lengths[place]] = self._guides.guide(example)[clip.numbers]
+                guide[place, : lengths[place]] = stretched_guide(
+                    self._guides.guide(example)[clip.numbers], factor
+                )
         return Batch(
             torch.from_numpy(frames),
             torch.tensor([clip.critical for clip in clips], dtype=torch.int64),
             torch.tensor(lengths, dtype=torch.int64),
-            torch.tensor([0.0 if example.success else 1.0 for example in examples]),
+            torch.from_numpy(failed),
+            torch.from_numpy(margins),
             torch.from_numpy(guide) if self._guides is not None else None,
             time.thread_time() - began,
         )

@@ -25,7 +25,7 @@ from recordings.campaigns.workers import ONE_THREAD
 from recordings.draw_bag import draw_bag
 from recordings.judge_bag import scene_of_bag
 
-FORMAT = 4
+FORMAT = 5
 """Version of prepared clips on disk; raise it when their layout, or what ``classifier.frames`` makes, changes."""
 
 OnClip = Callable[[int, int, object], None]

@@ -9,8 +9,12 @@ from config.errors import RefusedInput
 Backbone = Literal["resnet18", "resnet34", "resnet50"]
 Mode = Literal["rgb", "change", "motion"]
 Preset = Literal["paper", "compact"]
+Pooling = Literal["mean", "both"]
 
-_CHANNELS: dict[Mode, tuple[int, ...]] = {"rgb": (3,), "change": (1, 3), "motion": (7,)}
+_CHANNELS: dict[Mode, tuple[int, ...]] = {"rgb": (3,), "change": (1, 3), "motion": (9,)}
+
+MOTION_FIGURES = 28
+"""Plain figures of a frame of motion."""
 
 EXPANSION: dict[Backbone, int] = {"resnet18": 1, "resnet34": 1, "resnet50": 4}
 """Channels that a residual block gives, in multiples of its width."""
@@ -22,12 +26,15 @@ class NetworkConfig(BaseModel):
     Attributes:
         mode: ``rgb``: the whole picture in colour; ``change``: a crop that rides on the sled, as its grey, the first
             picture's grey and what has changed between the two; ``motion``: the same load's grey in the first picture,
-            how far each part of it has moved since, what that does not explain, and what came in.
+            how far each part of it has moved since, parallax, the sled's travel, what the movement does not explain,
+            and what came in.
         size_px: edge of a frame, which is square [px].
         frames: how many of a clip are looked at; None: all of them.
-        channels: of a frame; 3, or 1 for the change alone; 7 for motion.
+        channels: of a frame; 3, or 1 for the change alone; 9 for motion.
         backbone: which residual network sees each frame.
         base_width: channels of its first stage; 64 is the usual one. The last has eight times as many (ResNet-50: 32).
+        pooling: how features of a picture's parts become those of the picture: their mean, or as many sums of mean and
+            maximum, for one package that has moved far is enough.
         lstm_units: a direction.
         critical_features: to which the critical frame's features are reduced.
         fused_features: to which context and critical features are brought together.
@@ -44,6 +51,7 @@ class NetworkConfig(BaseModel):
     channels: int = 3
     backbone: Backbone
     base_width: int = Field(default=64, ge=4, le=256)
+    pooling: Pooling = "mean"
     lstm_units: int = Field(ge=1, le=4096)
     critical_features: int = Field(ge=1, le=8192)
     fused_features: int = Field(ge=1, le=8192)
@@ -58,8 +66,13 @@ class NetworkConfig(BaseModel):
 
     @property
     def features(self) -> int:
-        """Features of a frame."""
-        return 8 * self.base_width * EXPANSION[self.backbone]
+        """Features of a frame, its figures included."""
+        return 8 * self.base_width * EXPANSION[self.backbone] + self.figures
+
+    @property
+    def figures(self) -> int:
+        """Plain figures of a frame, see ``classifier.motion_figures``."""
+        return MOTION_FIGURES if self.mode == "motion" else 0
 
     @property
     def context_features(self) -> int:
@@ -122,9 +135,10 @@ _PRESETS: dict[str, dict[str, Any]] = {
         "mode": "motion",
         "size_px": 64,
         "frames": 24,
-        "channels": 7,
+        "channels": 9,
         "backbone": "resnet18",
         "base_width": 16,
+        "pooling": "both",
         "lstm_units": 64,
         "critical_features": 32,
         "fused_features": 64,

@@ -9,7 +9,15 @@ from numpy.typing import NDArray
 
 from classifier.configuration import Mode, NetworkConfig
 from classifier.load_crop import LoadCrop, change_of, crop_square
-from classifier.load_motion import CHANNELS, LoadFollower, mean_displacement, packed_motion
+from classifier.load_motion import (
+    ALONG,
+    CHANNELS,
+    DISPLACED,
+    LoadFollower,
+    mean_displacement,
+    packed_motion,
+    parallax_rate,
+)
 from classifier.sled_board import BoardFollower, find_board
 from classifier.sled_motion import SledMotion, fitted_motion
 from config.errors import RefusedInput
@@ -23,8 +31,9 @@ IMAGENET_DEVIATION = np.array([0.229, 0.224, 0.225])
 GREY_MEAN, GREY_DEVIATION = 0.449, 0.226
 CHANGE_LEVELS = 48.0
 """Grey levels of change that count as one."""
-MOTION_SCALE = (4.0, 4.0, 3.0, 3.0)
-"""Of the roots of displacements in heights and in metres: 0.06 of the height, or 0.1 m, count as about one."""
+MOTION_SCALE = (4.0, 4.0, 3.0, 3.0, 3.0, 3.0)
+"""Of the roots of displacements in heights and in metres, and of lengths in metres: 0.06 of the height, or 0.1 m, are
+about one."""
 DEPTH: dict[Mode, int] = {"rgb": 3, "change": 1, "motion": CHANNELS}
 """Bytes of a stored pixel."""
 WORST_RESIDUAL_PX = 1.0
@@ -37,7 +46,7 @@ class PreparedClip:
 
     Attributes:
         frames: shape [time, size, size, 3] (red, green, blue), [time, size, size, 1] (grey crop) or
-            [time, size, size, 7] (see ``classifier.load_motion``).
+            [time, size, size, CHANNELS] (see ``classifier.load_motion``).
         numbers: of the pictures that they were made of, ascending from 0, shape [time].
         critical: which of the frames changed most.
         change: of every picture of the clip against the first one, shape [picture_count]; where motion is looked at,
@@ -125,12 +134,23 @@ class ClipTaker:
         if self._board is not None and motion is not None:
             square = crop_square(self._greys, self._board, motion)
         outline = load.outline(square.load if square is not None else None)
-        moved = [load.displacement(number, motion) for number in range(count)]
+        moved = np.stack([load.displacement(number, motion) for number in range(count)])
+        travel_m = load.travel_m(motion)
+        parallax_m = parallax_rate(moved, travel_m, outline) * travel_m
+        moved[..., 0] -= parallax_m[:, None, None].astype(np.float32)
         change = 1000.0 * np.array([mean_displacement(displacement, outline) for displacement in moved])
         peak = int(change.argmax())
         numbers = chosen_numbers(count, self._config.frames, peak)
         frames = [
-            packed_motion(load.grey, moved[number], load.followed[number], outline, size)
+            packed_motion(
+                load.grey,
+                moved[number],
+                load.followed[number],
+                outline,
+                size,
+                parallax_m=float(parallax_m[number]),
+                travel_m=float(travel_m[number]),
+            )
             for number in numbers
         ]
         critical = int(np.searchsorted(numbers, peak))
@@ -195,7 +215,7 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
 
     ``rgb``: red, green and blue as the public weights expect them. ``change``: the change alone (one channel), or
     grey, the first frame's grey and the change (three). ``motion``: grey, displacement along and down in heights of the
-    load and in metres, what it does not explain, what is new.
+    load and in metres, parallax, travel, what the flow does not explain, what is new.
 
     Args:
         frames: of a ``PreparedClip``, or of a part of it that begins with its first frame.
@@ -218,8 +238,9 @@ def network_input(frames: Pixels, config: NetworkConfig) -> NDArray[np.float32]:
     if config.mode == "motion":
         planes[:, 0] = (planes[:, 0] / np.float32(255.0) - np.float32(GREY_MEAN)) / np.float32(GREY_DEVIATION)
         roots = np.array(MOTION_SCALE, dtype=np.float32) / np.float32(127.0)
-        planes[:, 1:5] = (planes[:, 1:5] - np.float32(128.0)) * roots[:, None, None]
-        planes[:, 5:] /= np.float32(CHANGE_LEVELS)
+        lengths = slice(DISPLACED.start, ALONG.stop)
+        planes[:, lengths] = (planes[:, lengths] - np.float32(128.0)) * roots[:, None, None]
+        planes[:, ALONG.stop :] /= np.float32(CHANGE_LEVELS)
         return np.ascontiguousarray(planes)
     change = (planes - planes[:1]) / np.float32(CHANGE_LEVELS)
     if config.channels == 1:

@@ -120,6 +120,13 @@ def guide_of_bag(bag: Path) -> Guide:
     return np.log(np.clip(shares, 0.0, _MOST) + _LEAST).astype(np.float32)
 
 
+def stretched_guide(guide: Guide, factor: float) -> Guide:
+    """The same figures, had the load moved that many times as far."""
+    if factor == 1.0:
+        return guide
+    return np.log(np.clip((np.exp(guide) - _LEAST) * factor, 0.0, _MOST) + _LEAST).astype(np.float32)
+
+
 def _made(cache: GuideCache, example: Example) -> tuple[str, str, str] | None:
     """In a worker: what refuses it comes back as a value, since errors of three parts do not travel."""
     try:

@@ -21,6 +21,7 @@ from classifier.clips import ClipCache
 from classifier.configuration import NetworkConfig
 from classifier.examples import Example
 from classifier.guidance import GUIDES, GuideCache
+from classifier.margins import MARGINS
 from classifier.metrics import fitted_temperature
 from classifier.network import VideoClassifier
 from classifier.ranks import Ranks
@@ -33,6 +34,8 @@ OnStep = Callable[[int, float, float], None]
 """Told the epoch's number, the share of it that is done, and the loss of the last step."""
 _MOST_THREADS = 4
 """That prepare batches: a GPU may need so many, a processor one."""
+_DAMAGE = 0.25
+"""Of the loss of margins, that damage counts for: seldom anything is damaged that has not moved too far."""
 _LOWEST_RATE = 0.01
 """Of the learning rate, at the end of a cosine."""
 
@@ -93,7 +96,9 @@ class Learner:
         self._model = VideoClassifier(network)
         if weights is not None:
             load_imagenet_weights(self._model.backbone, weights)
-        self._guided = Guided(self._model, guided=training.guidance > 0.0).to(ranks.device)
+        self._guided = Guided(
+            self._model, guided=training.guidance > 0.0, told_margins=training.margins > 0.0
+        ).to(ranks.device)
         self._joint: nn.Module = DistributedDataParallel(self._guided) if ranks.count > 1 else self._guided
         self._optimiser = torch.optim.AdamW(
             self._guided.parameters(), lr=training.learning_rate, weight_decay=training.weight_decay
@@ -194,9 +199,11 @@ class Learner:
         model.load_state_dict(self._kept.state_dict())
         with torch.no_grad():
             model.output.bias.add_(weighing)
-        temperature = fitted_temperature(
+        fitted = fitted_temperature(
             self._validation_success.astype(bool), -(self._validation_logits + weighing)
         )
+        # Validation is of schemes that were seen: good enough to take confidence back, not to add some.
+        temperature = max(1.0, fitted)
         epoch = self.epochs[-1]
         best = {
             "epoch": epoch.number,
@@ -247,9 +254,11 @@ class Learner:
                 # Processes add up their gradients only once a step.
                 apart = isinstance(self._joint, DistributedDataParallel) and place + 1 < batches
                 with self._joint.no_sync() if apart else nullcontext():  # type: ignore[operator]
-                    logits, guess = self._said(self._joint, batch)
+                    logits, (guess, margins) = self._said(self._joint, batch)
                     part = self._loss(logits, batch) / inside
-                    whole = part + training.guidance * guidance_loss(guess, batch) / inside
+                    beside = training.guidance * guidance_loss(guess, batch)
+                    beside = beside + training.margins * margins_loss(margins, batch)
+                    whole = part + beside / inside
                     whole.backward()  # type: ignore[no-untyped-call]
                 loss += float(part.detach())
             self._optimiser.step()
@@ -297,14 +306,14 @@ class Learner:
                 else:
                     mean.copy_(new[name])
 
-    def _said(self, model: nn.Module, batch: Batch) -> tuple[Tensor, Tensor | None]:
-        """What a network or a ``Guided`` says, on the processor's own precision or, on a GPU, half of it."""
+    def _said(self, model: nn.Module, batch: Batch) -> tuple[Tensor, list[Tensor | None]]:
+        """Logits and what else a network or a ``Guided`` says, on a processor's own precision, on a GPU half of it."""
         device = self._ranks.device
         with torch.autocast(device.type, torch.bfloat16, enabled=device.type == "cuda"):
-            logits, guess = model(
+            logits, *beside = model(
                 batch.frames.to(device), batch.critical.to(device), batch.lengths.to(device)
             )
-        return logits.float(), None if guess is None else guess.float()
+        return logits.float(), [None if part is None else part.float() for part in beside]
 
 
 def _averaged(model: VideoClassifier) -> VideoClassifier:
@@ -314,23 +323,32 @@ def _averaged(model: VideoClassifier) -> VideoClassifier:
 
 
 class Guided(nn.Module):
-    """The network and, where it is guided, what tells each frame's displacement from its features; that is not kept.
+    """The network and, where it is guided, what tells more from its features than the verdict; that is not kept.
 
     Args:
         model: the network.
-        guided: whether it is.
+        guided: whether each frame's displacement is told from its features.
+        told_margins: whether margins are told from what the verdict is taken from.
     """
 
-    def __init__(self, model: VideoClassifier, *, guided: bool) -> None:
+    def __init__(self, model: VideoClassifier, *, guided: bool, told_margins: bool = False) -> None:
         super().__init__()
         self.model = model
         self.guess = nn.Linear(model.config.features, GUIDES) if guided else None
+        self.margins = nn.Linear(model.config.fused_features, MARGINS) if told_margins else None
 
-    def forward(self, frames: Tensor, critical: Tensor, lengths: Tensor) -> tuple[Tensor, Tensor | None]:
-        """Logits of failure, shape [batch], and guessed displacement, shape [batch, time, GUIDES]."""
+    def forward(
+        self, frames: Tensor, critical: Tensor, lengths: Tensor
+    ) -> tuple[Tensor, Tensor | None, Tensor | None]:
+        """Logits of failure, [batch], guessed displacement, [batch, time, GUIDES], and margins, [batch, MARGINS]."""
         features = self.model.features(frames)
-        logits, _ = self.model.judge(features, critical, lengths)
-        return logits, None if self.guess is None else self.guess(features)
+        fused, _ = self.model.fused(features, critical, lengths)
+        logits = self.model.output(fused).squeeze(1)
+        return (
+            logits,
+            None if self.guess is None else self.guess(features),
+            None if self.margins is None else self.margins(fused),
+        )
 
 
 def guidance_loss(guess: Tensor | None, batch: Batch) -> Tensor:
@@ -341,6 +359,19 @@ def guidance_loss(guess: Tensor | None, batch: Batch) -> Tensor:
     known = torch.isfinite(guide)
     each = nn.functional.smooth_l1_loss(guess, torch.where(known, guide, guess.detach()), reduction="none")
     return (each.sum(dim=(1, 2)) / known.sum(dim=(1, 2))).sum()
+
+
+def margins_loss(told: Tensor | None, batch: Batch) -> Tensor:
+    """How far told margins are from the true ones, summed up: Huber's loss of shares, some cross-entropy of damage."""
+    if told is None:
+        return torch.zeros(())
+    true = batch.margins.to(told.device)
+    known = torch.isfinite(true[:, :-1])
+    shares = told[:, :-1]
+    wanted = torch.where(known, true[:, :-1], shares.detach())
+    apart = nn.functional.smooth_l1_loss(shares, wanted, reduction="none").mean(dim=1)
+    damage = nn.functional.binary_cross_entropy_with_logits(told[:, -1], true[:, -1], reduction="none")
+    return (apart + _DAMAGE * damage).sum()
 
 
 class Loss:

@@ -19,9 +19,14 @@ WINDOW_PX = 224
 """Edge of the square in which the load is followed, and that rides on the sled."""
 GRID_PX = 112
 """Edge of the grid on which displacement is kept; flow is smoother than print."""
-CHANNELS = 7
-"""Of a frame: the first picture's grey, displacement along and down in heights of the load, the same in metres,
-what the flow does not explain, and what was not there in the first picture."""
+CHANNELS = 9
+"""Of a frame: the first picture's grey, displacement along and down in heights of the load, the same in metres, the
+parallax that was taken off, a tenth of the sled's travel, what the flow does not explain, and what was not there in the
+first picture."""
+DISPLACED = slice(1, 5)
+"""Those of them that are displacement: two vectors, along and down."""
+ALONG = slice(5, 7)
+"""Those of them that are lengths along the picture."""
 FULL = 1.0
 """Displacement, in heights or in metres, that counts as full, and as no more than that."""
 SPACING_M = (0.22, 0.255, 0.29)
@@ -43,6 +48,19 @@ _INSIDE = (0.25, 0.2, 0.75, 0.85)
 """Left, top, right and bottom of the part of the load's outline that is load for certain, in widths and heights."""
 _LEAST_EDGE = 0.05
 """Of the load's outline, in edges of the window."""
+_RATES = np.linspace(-0.12, 0.004, 125)
+"""Of the load's parallax for each metre of travel; at most as of one that stands an eighth of the distance deeper."""
+_PICTURES_APART = 6
+"""Between which movement is compared with travel: neighbours differ by less than the flow's noise."""
+_STILL_M = 0.001
+"""Of movement between two pictures; that the flow finds where nothing moves."""
+_USUALLY_NONE = 0.1
+"""Of all weight; speaks for no parallax, to within ``_NO_RATE``: most loads reach to the pallet's edge."""
+_NO_RATE = 0.003
+_TOP_SPEED = 0.97
+"""Of the highest speed, that is as good as the highest."""
+_PARALLAX_STEP = 6
+"""Of the grid on which parallax is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,6 +145,12 @@ class LoadFollower:
             [[scale, 0.0, left + 0.5 * scale - 0.5], [0.0, scale, top + 0.5 * scale - 0.5]]
         )
         self._search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
+        # The preset ends at half of the window's pixels. At whole ones far fewer packages are lost, and there a wider
+        # grid of patches and fewer rounds do as well in two thirds of the time.
+        self._search.setFinestScale(0)
+        self._search.setPatchStride(4)
+        self._search.setGradientDescentIterations(12)
+        self._search.setVariationalRefinementIterations(3)
         rows, columns = np.mgrid[:WINDOW_PX, :WINDOW_PX].astype(np.float32)
         self._columns, self._rows = columns, rows
         self._flow: Field = np.zeros((WINDOW_PX, WINDOW_PX, 2), dtype=np.float32)
@@ -182,6 +206,15 @@ class LoadFollower:
         return np.asarray(
             moved - smooth * np.float32(self._window[0, 0] * self._metres_a_px), dtype=np.float32
         )
+
+    def travel_m(self, motion: SledMotion | None) -> Array:
+        """How far the sled had come along the picture at each picture [m]; 0 where it is not followed, shape [n]."""
+        if motion is None:
+            return np.zeros(len(self.followed))
+        middle = motion.straight(_mapped(self._window, np.full(2, 0.5 * (WINDOW_PX - 1.0))))
+        places = np.array([motion.carried(middle, number)[0] for number in range(len(self.followed))])
+        travel: Array = (places - places[0]) * self._metres_a_px
+        return travel
 
     def outline(self, load: tuple[float, float, float, float] | None) -> Outline:
         """Where the load is on the grid.
@@ -242,8 +275,58 @@ def mean_displacement(displacement: Field, outline: Outline) -> float:
     return float(np.hypot(part[..., 0], part[..., 1]).mean())
 
 
+def parallax_rate(displacement: Field, travel_m: Array, outline: Outline) -> float:
+    """How far the load seems to slide for each metre that the sled comes along, because it stands behind the board.
+
+    A point that stands deeper than the board by the share δ of the camera's distance comes along by δ less of the
+    sled's travel. A load does not slide all the time that the sled brakes, and while it stands on the sled, all of its
+    movement is parallax: the rate is the one that the most of its parts agree with in the most pictures.
+
+    Args:
+        displacement: of all pictures [m], shape [n, GRID_PX, GRID_PX, 2].
+        travel_m: of the sled along the picture [m], shape [n].
+        outline: of the load.
+
+    Returns:
+        The rate, from -0.12 to 0.004; 0 where too little is seen.
+    """
+    if len(travel_m) <= 2 * _PICTURES_APART:
+        return 0.0
+    left, top, right, bottom = outline.inside()
+    # The upper half is the first to slide, and can slide evenly.
+    top = (top + bottom) // 2
+    parts = displacement[:, top:bottom:_PARALLAX_STEP, left:right:_PARALLAX_STEP, 0]
+    parts = parts.reshape(len(parts), -1)
+    travelled = travel_m[_PICTURES_APART:] - travel_m[:-_PICTURES_APART]
+    moved = parts[_PICTURES_APART:] - parts[:-_PICTURES_APART]
+    # From the sled's highest speed on; one that keeps its speed is as good.
+    speed = np.abs(travelled)
+    braking = slice(int(np.argmax(speed > _TOP_SPEED * speed.max())), None)
+    moved, travelled = moved[braking], travelled[braking]
+    weights = np.abs(travelled)
+    if weights.sum() < _STILL_M:
+        return 0.0
+    weights = weights / weights.sum()
+    rates, found = _RATES, 0.0
+    for _ in range(2):
+        left_over = moved[None] - rates[:, None, None] * travelled[None, :, None]
+        agree = np.exp(-0.5 * (left_over / _STILL_M) ** 2).mean(axis=2) @ weights
+        usual = _USUALLY_NONE * np.exp(-0.5 * (rates / _NO_RATE) ** 2)
+        found = float(rates[np.argmax(agree + usual)])
+        # Then as finely as the flow allows: 0.1 mm for each metre.
+        rates = found + np.linspace(-1.0e-3, 1.0e-3, 21)
+    return found
+
+
 def packed_motion(
-    grey: Grey, displacement: Field, followed: Followed, outline: Outline, size_px: int
+    grey: Grey,
+    displacement: Field,
+    followed: Followed,
+    outline: Outline,
+    size_px: int,
+    *,
+    parallax_m: float = 0.0,
+    travel_m: float = 0.0,
 ) -> NDArray[np.uint8]:
     """A frame of bytes, shape [size_px, size_px, CHANNELS], in which each load's outline has the same place.
 
@@ -255,6 +338,8 @@ def packed_motion(
         followed: the picture.
         outline: of the load.
         size_px: edge of the frame.
+        parallax_m: along the picture, that was taken off the displacement [m].
+        travel_m: of the sled along the picture [m].
     """
     shown = outline.shown(size_px)
     seen, moved, unlike, fresh = (
@@ -268,7 +353,9 @@ def packed_motion(
         for plane in (grey, displacement, followed.unlike, followed.fresh)
     )
     both = np.dstack((moved / np.float32(outline.height_m), moved))
-    return np.dstack((seen, packed_displacement(both), unlike, fresh)).astype(np.uint8)
+    lengths = packed_displacement(np.array([parallax_m, 0.1 * travel_m], dtype=np.float32))
+    flat = np.broadcast_to(lengths, (size_px, size_px, 2))
+    return np.dstack((seen, packed_displacement(both), flat, unlike, fresh)).astype(np.uint8)
 
 
 def packed_displacement(displacement: Field) -> NDArray[np.uint8]:

@@ -34,13 +34,19 @@ class MeanPooling(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.backbone = ResNet(config.backbone, base_width=config.base_width, channels=config.channels)
+        self.backbone = ResNet(
+            config.backbone,
+            base_width=config.base_width,
+            channels=config.channels,
+            pooling=config.pooling,
+        )
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
         hidden = _hidden(
-            config.features, parameter_count(VideoClassifier(config)) - parameter_count(self.backbone)
+            self.backbone.features,
+            parameter_count(VideoClassifier(config)) - parameter_count(self.backbone),
         )
         self.head = nn.Sequential(
-            nn.Linear(config.features, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(),
+            nn.Linear(self.backbone.features, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU(),
             nn.Dropout(config.dropout), nn.Linear(hidden, 1),
         )  # fmt: skip
 

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from classifier.configuration import Mode
 from classifier.evaluation import MOST_LOST, Evaluation
 from classifier.evaluation_page import SPLIT_WORDS, WORDS, shown, unmet
@@ -71,13 +73,24 @@ def _made_from(found: Evaluation) -> list[str]:
 
 
 def _guidance(told: dict[str, Any]) -> list[str]:
-    weight = told.get("training", {}).get("guidance", 0.0)
-    if not weight:
-        return []
-    return [
-        "- While it learned, what it sees in each frame was held, with weight"
-        f" {weight:g}, against how far the simulated load truly stood from its place. That part is not kept."
-    ]
+    training, lines = told.get("training", {}), []
+    if training.get("guidance"):
+        lines.append(
+            "- While it learned, what it sees in each frame was held, with weight"
+            f" {training['guidance']:g}, against how far the simulated load truly stood from its place. That part is"
+            " not kept."
+        )
+    if training.get("margins"):
+        lines.append(
+            "- What its verdict is taken from was held, with weight"
+            f" {training['margins']:g}, against each rule's distance to its limit. That part is not kept either."
+        )
+    if training.get("stretch"):
+        lines.append(
+            "- Clips were shown as if everything had moved up to"
+            f" {np.exp(training['stretch']):.2f} times as far, or as little, with the verdict that follows."
+        )
+    return lines
 
 
 def _worth(found: Evaluation) -> list[str]:

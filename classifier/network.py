@@ -4,6 +4,7 @@ import torch
 from torch import Tensor, nn
 
 from classifier.configuration import NetworkConfig
+from classifier.motion_figures import MotionFigures
 from classifier.resnet import ResNet
 
 
@@ -20,15 +21,22 @@ class VideoClassifier(nn.Module):
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__()
         self.config = config
-        self.backbone = ResNet(config.backbone, base_width=config.base_width, channels=config.channels)
+        self.backbone = ResNet(
+            config.backbone,
+            base_width=config.base_width,
+            channels=config.channels,
+            pooling=config.pooling,
+        )
         # A third faster on a CPU, by the order of its weights in memory alone.
         self.backbone.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.figures = MotionFigures() if config.figures else None
         self.forwards = nn.LSTM(config.features, config.lstm_units, batch_first=True)
         self.backwards = nn.LSTM(config.features, config.lstm_units, batch_first=True)
         self.attention_hidden = nn.Linear(config.context_features, config.context_features)
         self.attention_score = nn.Linear(config.context_features, 1, bias=False)
         self.critical = nn.Linear(config.features, config.critical_features)
-        self.fuse = nn.Linear(config.context_features + config.critical_features, config.fused_features)
+        told = config.context_features + config.critical_features + 2 * config.figures
+        self.fuse = nn.Linear(told, config.fused_features)
         self.dropout = nn.Dropout(config.dropout)
         self.output = nn.Linear(config.fused_features, 1)
 
@@ -51,16 +59,28 @@ class VideoClassifier(nn.Module):
         """Features, shape [batch, time, features], of frames, shape [batch, time, channels, h, w]."""
         pictures = frames.flatten(0, 1)
         if torch.compiler.is_exporting():
-            seen = self.backbone(pictures)
+            seen = self._seen(pictures)
         else:
             chunks = torch.split(pictures, self.config.chunk_frames)
-            seen = torch.cat([self.backbone(chunk) for chunk in chunks])
-        return seen.unflatten(0, frames.shape[:2])  # type: ignore[no-any-return]
+            seen = torch.cat([self._seen(chunk) for chunk in chunks])
+        return torch.unflatten(seen, 0, frames.shape[:2])
+
+    def _seen(self, pictures: Tensor) -> Tensor:
+        """Features of pictures, with their figures behind those of the backbone."""
+        seen: Tensor = self.backbone(pictures)
+        return seen if self.figures is None else torch.cat((seen, self.figures(pictures)), dim=1)
 
     def judge(
         self, features: Tensor, critical: Tensor, lengths: Tensor | None = None
     ) -> tuple[Tensor, Tensor]:
         """The part behind the backbone: as ``forward``, but from features, shape [batch, time, features]."""
+        fused, attention = self.fused(features, critical, lengths)
+        return self.output(fused).squeeze(1), attention
+
+    def fused(
+        self, features: Tensor, critical: Tensor, lengths: Tensor | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """What the verdict is taken from, shape [batch, fused_features], and attention; see ``judge``."""
         batch, time = features.shape[:2]
         if lengths is None:
             lengths = torch.full((batch,), time, dtype=torch.int64, device=features.device)
@@ -75,9 +95,14 @@ class VideoClassifier(nn.Module):
         attention = torch.softmax(score.masked_fill(~inside, float("-inf")), dim=1)
         context = (attention.unsqueeze(2) * states).sum(dim=1)
         chosen = _rows(features, critical.unsqueeze(1)).squeeze(1)
-        both = torch.cat((context, torch.relu(self.critical(chosen))), dim=1)
-        fused = self.dropout(torch.relu(self.fuse(both)))
-        return self.output(fused).squeeze(1), attention
+        told = [context, torch.relu(self.critical(chosen))]
+        if self.figures is not None:
+            # What the standard asks for: the peak, and what remains.
+            known = features[:, :, -self.config.figures :]
+            peak = known.masked_fill(~inside.unsqueeze(2), float("-inf")).amax(dim=1)
+            told += [peak, _rows(known, (lengths - 1).unsqueeze(1)).squeeze(1)]
+        both = torch.cat(told, dim=1)
+        return self.dropout(torch.relu(self.fuse(both))), attention
 
 
 def _rows(values: Tensor, index: Tensor) -> Tensor:

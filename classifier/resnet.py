@@ -7,7 +7,7 @@ from typing import cast
 import torch
 from torch import Tensor, nn
 
-from classifier.configuration import EXPANSION, Backbone
+from classifier.configuration import EXPANSION, Backbone, Pooling
 from config.errors import RefusedInput
 
 BLOCKS: dict[Backbone, tuple[int, int, int, int]] = {
@@ -69,18 +69,21 @@ def _short_cut(inside: int, outside: int, stride: int) -> nn.Sequential | None:
 
 
 class ResNet(nn.Module):
-    """A residual network up to its mean over the picture; it has no classes of its own.
+    """A residual network up to its mean over the picture, or more; it has no classes of its own.
 
     Args:
         kind: ``resnet18``, ``resnet34`` or ``resnet50``.
         base_width: channels of the first stage.
         channels: of the pictures.
+        pooling: see ``NetworkConfig``.
 
     Attributes:
         features: of a picture.
     """
 
-    def __init__(self, kind: Backbone, *, base_width: int = 64, channels: int = 3) -> None:
+    def __init__(
+        self, kind: Backbone, *, base_width: int = 64, channels: int = 3, pooling: Pooling = "mean"
+    ) -> None:
         super().__init__()
         block = Bottleneck if kind == "resnet50" else BasicBlock
         self.conv1 = _convolution(channels, base_width, 7, 2)
@@ -95,6 +98,7 @@ class ResNet(nn.Module):
                 inside = width * EXPANSION[kind]
             self.add_module(f"layer{stage + 1}", nn.Sequential(*blocks))
         self.features = inside
+        self.mix = nn.Linear(2 * inside, inside) if pooling == "both" else None
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
@@ -105,7 +109,10 @@ class ResNet(nn.Module):
         for stage in range(1, 5):
             x = self.get_submodule(f"layer{stage}")(x)
         features: Tensor = x.mean(dim=(2, 3))
-        return features
+        if self.mix is None:
+            return features
+        mixed: Tensor = self.mix(torch.cat((features, x.amax(dim=(2, 3))), dim=1))
+        return mixed
 
 
 def load_imagenet_weights(model: ResNet, path: Path) -> None:

@@ -22,7 +22,14 @@ class SledClip:
     slip_m: NDArray[np.float64]
 
 
-def sled_clip(*, count: int = 16, travel_m: float = 1.5, slip_m: float = 0.08, still: int = 2) -> SledClip:
+def sled_clip(
+    *,
+    count: int = 16,
+    travel_m: float = 1.5,
+    slip_m: float = 0.08,
+    still: int = 2,
+    behind_m: float = BEHIND_M,
+) -> SledClip:
     """Stands for ``still`` pictures, slides evenly; the upper half of the load goes out in the middle and comes back."""
     noise = np.random.default_rng(5)
     backdrop = cv2.resize(
@@ -41,8 +48,8 @@ def sled_clip(*, count: int = 16, travel_m: float = 1.5, slip_m: float = 0.08, s
         picture = backdrop.copy()
         left = gone - 0.5 * LOAD_M[0]
         for image, x, top, behind in (
-            (print_[half:], left, -0.5 * LOAD_M[1], BEHIND_M),
-            (print_[:half], left + slid, -LOAD_M[1], BEHIND_M),
+            (print_[half:], left, -0.5 * LOAD_M[1], behind_m),
+            (print_[:half], left + slid, -LOAD_M[1], behind_m),
             (board, gone - 0.5 * BOARD_M[0], 0.02, 0.0),
         ):
             _paste(picture, image, x, top, behind)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from classifier.augmentation import augmented
-from classifier.load_motion import packed_displacement, unpacked_displacement
+from classifier.load_motion import CHANNELS, packed_displacement, unpacked_displacement
 from classifier.training_config import TrainingConfig
 
 SIZE = 64
@@ -19,13 +19,13 @@ def changed(frames: np.ndarray, seed: int, **how: object) -> np.ndarray:
 @pytest.fixture
 def noisy() -> np.ndarray:
     """Any frames: displacement is bytes from 1."""
-    return np.random.default_rng(4).integers(1, 256, (3, SIZE, SIZE, 7), dtype=np.uint8)
+    return np.random.default_rng(4).integers(1, 256, (3, SIZE, SIZE, CHANNELS), dtype=np.uint8)
 
 
 def pointing(direction_deg: float, length: float) -> np.ndarray:
     """A bright spot on dark ground; displacement is the same everywhere, from the frame's middle towards the spot."""
     along, down = np.cos(np.deg2rad(direction_deg)), np.sin(np.deg2rad(direction_deg))
-    frames = np.zeros((2, SIZE, SIZE, 7), np.uint8)
+    frames = np.zeros((2, SIZE, SIZE, CHANNELS), np.uint8)
     rows, columns = np.mgrid[:SIZE, :SIZE] - 0.5 * (SIZE - 1.0)
     spot = np.exp(-((columns - 16.0 * along) ** 2 + (rows - 16.0 * down) ** 2) / (2.0 * 2.5**2))
     frames[..., 0] = np.round(255.0 * spot)
@@ -37,7 +37,8 @@ def test_mirrored_displacement_along_changes_its_sign_and_down_does_not(noisy):
     mirrored = changed(noisy, 1, flip=True)
     turned_round = noisy[:, :, ::-1].copy()
     # Byte 128 is none, so the same length the other way is 256 less the byte.
-    turned_round[..., [1, 3]] = (256 - turned_round[..., [1, 3]].astype(int)).astype(np.uint8)
+    along = [1, 3, 5, 6]
+    turned_round[..., along] = (256 - turned_round[..., along].astype(int)).astype(np.uint8)
     assert (mirrored == turned_round).all()
 
 

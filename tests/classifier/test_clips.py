@@ -9,6 +9,7 @@ from classifier.clips import ClipCache, clip_from_bytes, clip_of_bag, clip_to_by
 from classifier.configuration import preset
 from classifier.examples import Example, read_examples
 from classifier.frames import network_input
+from classifier.load_motion import CHANNELS
 from config.errors import BrokenRecording, RefusedInput
 from recordings.campaigns.labels import Label
 from recordings.campaigns.one_test import run_one
@@ -60,7 +61,7 @@ def test_a_damaged_clip_is_made_anew_and_other_frames_have_a_place_of_their_own(
         stored.write_bytes(damaged)
         assert _same(cache.clip(example), made)
     wider = ClipCache(tmp_path, preset("compact", size_px=48, frames=4))
-    assert not wider.has(example) and wider.clip(example).frames.shape == (4, 48, 48, 7)
+    assert not wider.has(example) and wider.clip(example).frames.shape == (4, 48, 48, CHANNELS)
     # Width and LSTM say nothing of frames.
     assert ClipCache(tmp_path, preset("compact", size_px=32, frames=4, base_width=4, lstm_units=3)).has(
         example

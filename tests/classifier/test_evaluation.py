@@ -152,7 +152,7 @@ def test_a_campaign_that_is_not_the_models_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(("mode", "channels"), [("motion", 7), ("change", 3), ("rgb", 3)])
+@pytest.mark.parametrize(("mode", "channels"), [("motion", 9), ("change", 3), ("rgb", 3)])
 def test_a_running_judge_ends_with_the_answer_of_the_whole_clip(mode: str, channels: int) -> None:
     config = small(mode=mode, channels=channels)
     judge = Judge(untrained(config), temperature=2.0)

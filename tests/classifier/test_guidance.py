@@ -13,6 +13,8 @@ from classifier.configuration import preset
 from classifier.examples import read_examples
 from classifier.guidance import GUIDES, GuideCache, guide_of_bag
 from classifier.learner import Guided, guidance_loss
+from classifier.load_motion import CHANNELS
+from classifier.margins import MARGINS
 from classifier.network import VideoClassifier
 from classifier.run_folder import read_checkpoint
 from config.errors import BrokenRecording
@@ -52,10 +54,11 @@ def _shares(guide):
 
 def _batch(guide: np.ndarray | None) -> Batch:
     count, time = guide.shape[:2] if guide is not None else (2, 3)
-    nothing = torch.zeros(count, time, 7, 32, 32)
+    nothing = torch.zeros(count, time, CHANNELS, 32, 32)
     lengths = torch.full((count,), time)
     told = torch.from_numpy(guide) if guide is not None else None
-    return Batch(nothing, torch.zeros(count, dtype=torch.int64), lengths, torch.zeros(count), told, 0.0)
+    critical, margins = torch.zeros(count, dtype=torch.int64), torch.zeros(count, MARGINS)
+    return Batch(nothing, critical, lengths, torch.zeros(count), margins, told, 0.0)
 
 
 def test_figures_are_the_judges_at_each_picture(folder):
@@ -170,22 +173,22 @@ def test_the_loss_is_hubers_mean_of_each_clip_and_ignores_what_fills_it_up():
 def test_the_guess_reaches_the_backbone_and_nothing_behind_it():
     torch.manual_seed(0)
     guided = Guided(VideoClassifier(network()), guided=True).train()
-    frames, lengths = torch.randn(2, 3, 7, 32, 32), torch.full((2,), 3)
+    frames, lengths = torch.randn(2, 3, CHANNELS, 32, 32), torch.full((2,), 3)
     guide = np.ones((2, 3, GUIDES), np.float32)
-    _, guess = guided(frames, torch.zeros(2, dtype=torch.int64), lengths)
+    _, guess, _ = guided(frames, torch.zeros(2, dtype=torch.int64), lengths)
     guidance_loss(guess, _batch(guide)).backward()
     reached = {name for name, value in guided.named_parameters() if value.grad is not None}
     assert {name.split(".")[0] for name in reached} == {"model", "guess"}
-    assert {name.split(".")[1] for name in reached if name.startswith("model")} == {"backbone"}
+    assert {name.split(".")[1] for name in reached if name.startswith("model")} == {"backbone", "figures"}
 
 
-def test_the_saved_model_has_nothing_of_the_guess(trained):
+def test_the_saved_model_has_nothing_of_the_guess(folder, tmp_path):
+    # The checkpoint is that of the last epoch: of one, it is the best, too.
+    trained = job(folder, tmp_path / "one", epochs=1)
     state = read_checkpoint(trained.model.parent)
-    assert state is not None and training().guidance > 0.0
-    assert {name for name in state["model"] if not name.startswith("model.")} == {
-        "guess.weight",
-        "guess.bias",
-    }
+    assert state is not None and training().guidance > 0.0 and training().margins > 0.0
+    beside = {name.split(".")[0] for name in state["model"] if not name.startswith("model.")}
+    assert beside == {"guess", "margins"}
     model, _ = load_model(trained.model)
     kept = torch.load(trained.model / "model.pt", weights_only=True)
     assert kept.keys() == VideoClassifier(network()).state_dict().keys() == model.state_dict().keys()
@@ -195,7 +198,7 @@ def test_the_saved_model_has_nothing_of_the_guess(trained):
 
 
 def test_guidance_changes_what_is_learnt_but_not_what_is_shown(folder, trained, tmp_path):
-    plain = job(folder, tmp_path / "plain", guidance=0.0)
+    plain = job(folder, tmp_path / "plain", guidance=0.0, margins=0.0)
     assert plain.digest != trained.digest
     # The loss that is told, and that ends a training, is that of verdicts alone.
     assert trained.epochs[0].train_loss == pytest.approx(plain.epochs[0].train_loss, rel=0.1)

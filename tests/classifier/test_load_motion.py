@@ -13,9 +13,16 @@ from classifier.frames import (
     network_input,
     prepared_clip,
 )
-from classifier.load_motion import packed_displacement, unpacked_displacement
+from classifier.load_motion import (
+    ALONG as LENGTHS,
+)
+from classifier.load_motion import (
+    CHANNELS,
+    packed_displacement,
+    unpacked_displacement,
+)
 from config.errors import RefusedInput
-from tests.classifier.sled_clip import LOAD_M, sled_clip
+from tests.classifier.sled_clip import BEHIND_M, DISTANCE_M, LOAD_M, sled_clip
 
 EVERY = preset("compact", frames=None)
 # In a frame of 64 px the load fills rows 8 to 58 and columns 12 to 52; its halves, without their edges:
@@ -52,7 +59,7 @@ def _bar_m(slip_m):
 def test_what_slides_is_measured_and_what_stands_is_not(slip_m):
     clip = sled_clip(slip_m=slip_m)
     prepared = prepared_clip(clip.pictures, EVERY)
-    assert prepared.followed and prepared.frames.shape == (16, 64, 64, 7)
+    assert prepared.followed and prepared.frames.shape == (16, 64, 64, CHANNELS)
     # A square of the print is 50 mm wide: 0.3 m is six of them, come to in steps of one.
     along, down = np.moveaxis(_moved(prepared, UPPER).mean(axis=(1, 2)), -1, 0)
     assert (np.abs(along - clip.slip_m) < _bar_m(clip.slip_m)).all()
@@ -69,6 +76,22 @@ def test_nearly_every_point_of_what_slides_says_so(clip, prepared):
     assert np.quantile(off, 0.95, axis=(1, 2)).max() < 0.01
 
 
+def test_a_load_that_stands_deeper_does_not_slide_by_its_parallax():
+    behind_m, travel_m = 0.35, 1.5
+    deep = prepared_clip(sled_clip(behind_m=behind_m, count=24, slip_m=0.0).pictures, EVERY)
+    assert deep.followed
+    off, came = np.moveaxis(unpacked_displacement(deep.frames[:, 0, 0, LENGTHS]), -1, 0)
+    # Metres are those of the board's plane, and up to 4.6 % too few, see above. A byte's step is √d/127.
+    assert came[-1] == pytest.approx(0.1 * travel_m, rel=0.06)
+    # A load usually stands 30 mm behind the board's plane, and is carried along as one that does.
+    assert off[-1] == pytest.approx(-travel_m * (behind_m - BEHIND_M) / (DISTANCE_M + behind_m), rel=0.07)
+    assert np.abs(_moved(deep, LOWER)).mean() < 0.004 < 0.1 * np.abs(off[-1])
+    # What does slide is told beside it.
+    clip = sled_clip(behind_m=behind_m, count=24, slip_m=0.08)
+    slid = _moved(prepared_clip(clip.pictures, EVERY), UPPER)[..., 0].mean(axis=(1, 2))
+    assert (np.abs(slid - clip.slip_m) < _bar_m(clip.slip_m) + 0.06 * clip.slip_m + 0.004).all()
+
+
 def test_the_first_picture_stands_where_it_stood(prepared):
     assert (prepared.frames[0, ..., 1:5] == 128).all() and prepared.change[0] < 1.0e-3
 
@@ -76,7 +99,7 @@ def test_the_first_picture_stands_where_it_stood(prepared):
 def test_the_critical_frame_is_that_of_the_largest_slip(clip, prepared):
     assert prepared.critical == int(np.argmax(clip.slip_m))
     few = prepared_clip(clip.pictures, preset("compact", frames=5))
-    assert few.numbers[few.critical] == prepared.critical and few.frames.shape == (5, 64, 64, 7)
+    assert few.numbers[few.critical] == prepared.critical and few.frames.shape == (5, 64, 64, CHANNELS)
     assert (few.frames == prepared.frames[few.numbers]).all()
     # Of the load's height, the part from 0.2 to 0.85 below its top counts; 0.5 is where 80 mm end.
     assert prepared.change.max() == pytest.approx(80.0 * 0.3 / 0.65, abs=3.0)
@@ -101,9 +124,9 @@ def test_without_a_board_the_pictures_middle_is_looked_at_and_it_is_said(kind):
     ]
     clip = prepared_clip(pictures, EVERY)
     assert not clip.followed and clip.remark.startswith("sled not followed: no board")
-    assert clip.frames.shape == (3, 64, 64, 7)
+    assert clip.frames.shape == (3, 64, 64, CHANNELS)
     if kind == "black":
-        assert (clip.frames[..., 1:5] == 128).all() and (clip.frames[..., 5] == 0).all()
+        assert (clip.frames[..., 1:7] == 128).all() and (clip.frames[..., 7] == 0).all()
         assert (clip.change == 0.0).all() and clip.critical == 0
 
 
@@ -122,7 +145,11 @@ def test_a_picture_in_which_nothing_is_seen_does_no_harm_to_those_behind_it(clip
 def test_without_targets_a_clip_is_still_one(clip):
     pictures = [*clip.pictures[:4], *(np.zeros_like(one) for one in clip.pictures[4:])]
     lost = prepared_clip(pictures, EVERY)
-    assert not lost.followed and "targets were lost" in lost.remark and lost.frames.shape == (16, 64, 64, 7)
+    assert (
+        not lost.followed
+        and "targets were lost" in lost.remark
+        and lost.frames.shape == (16, 64, 64, CHANNELS)
+    )
 
 
 def test_bytes_of_a_displacement_come_back_within_half_a_step():
@@ -163,16 +190,18 @@ def test_a_clip_that_is_asked_for_after_every_picture_ends_the_same(clip, prepar
 
 
 def test_the_network_sees_print_displacement_and_what_is_left():
-    frames = np.full((2, 64, 64, 7), 128, np.uint8)
+    frames = np.full((2, 64, 64, CHANNELS), 128, np.uint8)
     # 0.0625 of the height and 1/9 m have the roots 1/4 and 1/3: both count as one, to half a byte of 32.
-    frames[1, ..., 1:5] = packed_displacement(np.float32([0.0625, -0.0625, 1.0 / 9.0, -1.0 / 9.0]))
-    frames[1, ..., 0], frames[1, ..., 5:] = 255, int(CHANGE_LEVELS)
+    lengths = np.float32([0.0625, -0.0625, 1.0 / 9.0, -1.0 / 9.0, -1.0 / 9.0, 1.0 / 9.0])
+    frames[1, ..., 1:7] = packed_displacement(lengths)
+    frames[1, ..., 0], frames[1, ..., 7:] = 255, int(CHANGE_LEVELS)
     given = network_input(frames, EVERY)
-    assert given.shape == (2, 7, 64, 64) and given.dtype == np.float32
-    assert (given[0, 1:5] == 0.0).all()
+    assert given.shape == (2, CHANNELS, 64, 64) and given.dtype == np.float32
+    assert (given[0, 1:7] == 0.0).all()
     bright = (1.0 - GREY_MEAN) / GREY_DEVIATION
-    assert given[1, :, 7, 7] == pytest.approx([bright, 1.0, -1.0, 1.0, -1.0, 1.0, 1.0], abs=0.016)
-    with pytest.raises(RefusedInput, match="64 by 64 by 7"):
+    told = [bright, 1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0, 1.0]
+    assert given[1, :, 7, 7] == pytest.approx(told, abs=0.016)
+    with pytest.raises(RefusedInput, match="64 by 64 by 9"):
         network_input(frames[..., :3], EVERY)
 
 
@@ -183,5 +212,5 @@ def test_what_falls_out_beside_the_load_is_seen_though_nothing_on_it_moves():
     # Something bright where only the hall was, on the floor behind the sled's way.
     late[-1][120:170, 330:350] = 250
     fallen = prepared_clip(late, EVERY)
-    new = fallen.frames[-1, ..., 6].astype(int) - plain.frames[-1, ..., 6].astype(int)
+    new = fallen.frames[-1, ..., 8].astype(int) - plain.frames[-1, ..., 8].astype(int)
     assert new.max() > 60 and (fallen.frames[:-1] == plain.frames[:-1]).all()

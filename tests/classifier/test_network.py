@@ -49,8 +49,14 @@ def _count(c: NetworkConfig) -> int:
     context = 2 * c.lstm_units
     attention = context * context + context + context
     critical = c.features * c.critical_features + c.critical_features
-    fused = (context + c.critical_features) * c.fused_features + c.fused_features
+    # Peak and end of the plain figures, each with the two weights that even it out.
+    fused = (
+        (context + c.critical_features + 2 * c.figures) * c.fused_features + c.fused_features + 2 * c.figures
+    )
     residual = _residual_count(c.backbone, c.base_width, c.channels)
+    if c.pooling == "both":
+        inside = c.features - c.figures
+        residual += 2 * inside * inside + inside
     return residual + lstm + attention + critical + fused + c.fused_features + 1
 
 
@@ -124,12 +130,12 @@ def test_one_step_of_training_runs_and_reaches_every_weight(name, clips, frames)
 
 def test_padding_changes_nothing_and_gets_no_attention():
     model = VideoClassifier(preset("compact", **SMALL)).eval()
-    clip = torch.randn(1, 5, 7, 32, 32)
+    clip = torch.randn(1, 5, 9, 32, 32)
     with torch.no_grad():
         logit, attention = model(clip, torch.tensor([3]))
         for filler in (0.0, 1.0e3):
-            padded = torch.cat((clip, torch.full((1, 4, 7, 32, 32), filler)), dim=1)
-            both = torch.cat((padded, torch.randn(1, 9, 7, 32, 32)))
+            padded = torch.cat((clip, torch.full((1, 4, 9, 32, 32), filler)), dim=1)
+            both = torch.cat((padded, torch.randn(1, 9, 9, 32, 32)))
             logits, shares = model(both, torch.tensor([3, 8]), torch.tensor([5, 9]))
             assert logits[0].item() == pytest.approx(logit.item(), abs=1.0e-6)
             assert torch.allclose(shares[0, :5], attention[0], atol=1.0e-6)
@@ -156,7 +162,7 @@ def test_chunks_and_order_of_time_are_what_they_should_be():
     whole = VideoClassifier(preset("compact", **SMALL, chunk_frames=100)).eval()
     parts = VideoClassifier(preset("compact", **SMALL, chunk_frames=3)).eval()
     parts.load_state_dict(whole.state_dict())
-    clip, critical = torch.randn(2, 7, 7, 32, 32), torch.tensor([1, 6])
+    clip, critical = torch.randn(2, 7, 9, 32, 32), torch.tensor([1, 6])
     with torch.no_grad():
         assert torch.allclose(whole(clip, critical)[0], parts(clip, critical)[0], atol=1.0e-6)
         assert not torch.allclose(whole(clip, critical)[0], whole(clip.flip(1), 6 - critical)[0], atol=1.0e-6)
@@ -240,5 +246,5 @@ def test_the_same_seed_builds_the_same_network():
         torch.manual_seed(3)
         built.append(VideoClassifier(preset("compact", **SMALL)).eval())
     with torch.no_grad():
-        said = [model(torch.ones(1, 2, 7, 32, 32), torch.tensor([0]))[0].numpy() for model in built]
+        said = [model(torch.ones(1, 2, 9, 32, 32), torch.tensor([0]))[0].numpy() for model in built]
     assert np.array_equal(*said)
