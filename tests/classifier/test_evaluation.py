@@ -117,7 +117,7 @@ def test_an_evaluation_tells_every_figure_and_is_not_done_twice(
     assert held["accuracy"] == expected["accuracy"] and held["loss"] == pytest.approx(expected["loss"])
     assert held["uncalibrated"]["loss"] == pytest.approx(scores(success, TEMPERATURE * logits)["loss"])
     assert [row["name"] for row in told["baselines"]] == [
-        "majority", "regression on change", "regression on displacement",
+        "majority", "regression on change", "regression on displacement", "perfect sight",
     ]  # fmt: skip
     assert [row["condition"] for row in told["robustness"]] == [texture.name, jpeg.name]
     assert all(row["tests"] == 2 and row["refused"] == 0 for row in told["robustness"])
