@@ -29,11 +29,16 @@ class Margins:
     failed: bool
 
     def stretched(self, factor: float) -> "Margins":
-        """The same test, had everything moved that many times as far; damage stays what it was."""
+        """The same test, had everything moved that many times as far.
+
+        Damage stays what it was, and so does a failure that neither damage nor a share accounts for.
+        """
         if factor == 1.0:
             return self
+        is_explained = self.is_damaged or bool((self.shares > 1.0).any())
         shares = self.shares * factor
-        return replace(self, shares=shares, failed=self.is_damaged or bool((shares > 1.0).any()))
+        stays = self.is_damaged or (self.failed and not is_explained)
+        return replace(self, shares=shares, failed=stays or bool((shares > 1.0).any()))
 
     def figures(self) -> NDArray[np.float32]:
         """Logarithms of the shares, and 1 for damage, shape [MARGINS]; NaN where a share is not known."""

@@ -58,6 +58,13 @@ def test_damage_stays_however_little_moves(folder):
     assert not margins_of(replace(label, states={"damage": "pass"})).stretched(0.1).failed
 
 
+def test_a_failure_that_nothing_known_accounts_for_stays_one(folder):
+    for worst_mm in ((), (30.0, 10.0, 60.0)):
+        label = _label(folder, worst_mm, (30.0, 30.0, 60.0)[: len(worst_mm)], success=False)
+        assert margins_of(label).stretched(0.8).failed
+    assert not margins_of(_label(folder, (), ())).stretched(1.4).failed
+
+
 def test_a_stretched_clip_has_moved_as_far_and_the_sled_has_not():
     frames = np.full((2, 8, 8, CHANNELS), 77, np.uint8)
     frames[..., DISPLACED] = packed_displacement(np.float32([0.1, -0.05, 0.2, 0.0]))

@@ -306,7 +306,8 @@ def test_a_passed_test_weighs_as_many_times_as_there_are_more_fails():
     loss = Loss(examples, None)
     assert loss.success_weight == 3.0
     failed = torch.tensor([0.0 if e.success else 1.0 for e in examples])
-    batch = Batch(torch.zeros(0), torch.zeros(0), torch.zeros(0), failed, None, 0.0)
+    nothing = torch.zeros(0)
+    batch = Batch(nothing, nothing, nothing, failed, nothing, None, 0.0)
     each = loss.each(torch.zeros(8), batch)
     # At even odds every loss is ln 2, times weights whose mean is 1: 8 / (6 + 3 * 2) for a fail.
     assert each.mean().item() == pytest.approx(np.log(2.0), rel=1e-6)
