@@ -6,6 +6,7 @@ for every test of the test part. Perfect sight is beside them as a bound.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,7 +20,7 @@ from classifier.examples import Example, Split
 from classifier.frames import PreparedClip
 from classifier.logistic import chosen_logistic, prior_logit
 from classifier.metrics import Truth
-from classifier.perfect_sight import sighted_features
+from classifier.perfect_sight import FEATURES, sighted_features
 from classifier.robustness import sampled
 from classifier.rows import Rows
 from classifier.training_config import TrainingConfig
@@ -138,14 +139,7 @@ def _by_displacement(
     """Where displacement cannot be measured, the regression on change answers."""
     learned = [split.train[place] for place in sampled(split.train, MOST_MEASURED, seed=0)]
     used = [*learned, *split.validation, *split.test]
-    count = 0
-
-    def tell() -> None:
-        nonlocal count
-        count += 1
-        if on_progress is not None:
-            on_progress(count, len(used), "displacement measured")
-
+    tell = _counting(len(used), "displacement measured", on_progress)
     rows = Rows(clips_at / "displacement.jsonl")
     found, refused = measured_features(
         [examples[index] for index in used], rows, workers=workers, on_row=tell
@@ -177,15 +171,8 @@ def _by_perfect_sight(
 ) -> Baseline:
     """No judge of pictures: the truth about what the camera faces, as a bound on those that only measure."""
     used = [index for part in (split.train, split.validation, split.test) for index in part]
-    count = 0
-
-    def tell() -> None:
-        nonlocal count
-        count += 1
-        if on_progress is not None:
-            on_progress(count, len(used), "true movement of what is faced")
-
-    features = np.full((len(examples), 2), np.nan)
+    tell = _counting(len(used), "true movement of what is faced", on_progress)
+    features = np.full((len(examples), len(FEATURES)), np.nan)
     rows = Rows(clips_at / "perfect_sight.jsonl")
     features[used] = sighted_features([examples[index] for index in used], rows, workers=workers, on_row=tell)
     logits, _ = _regressed(features, success, split)
@@ -195,6 +182,18 @@ def _by_perfect_sight(
         " camera; a bound for whoever measures without error and does not guess what is behind",
         logits,
     )
+
+
+def _counting(total: int, what: str, on_progress: OnProgress | None) -> Callable[[], None]:
+    """What tells, each time that it is called, of one more that is done."""
+    done = count(1)
+
+    def tell() -> None:
+        number = next(done)
+        if on_progress is not None:
+            on_progress(number, total, what)
+
+    return tell
 
 
 def _regressed(features: Array, success: Truth, split: Split) -> tuple[Array, Truth]:
